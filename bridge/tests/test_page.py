@@ -9,10 +9,11 @@ import re
 import shutil
 from pathlib import Path
 
+import aiohttp
 import j2a_bridge
 import pytest
 from j2a_bridge import web_server
-from j2a_bridge.browser import browser
+from j2a_bridge.browser import Browser, Page, browser
 from j2a_conformance._model import Claims, Run
 
 import j2a
@@ -27,24 +28,64 @@ needs_browser = pytest.mark.skipif(
 )
 
 
-@contextlib.asynccontextmanager
-async def shown(device, width=1280, height=900, **more):
-    with served(device) as url:
-        async with (
-            bridging(config_for(url, sinks=("web", "kept"), **more)) as bridge,
-            browser() as chromium,
-        ):
-            await until(lambda: bridge._flows)
-            page = await chromium.page()
-            await page.resize(width, height)
-            await page.open(bridge.runners[0].sink.server.url)
-            await page.until("document.querySelectorAll('.card').length > 0")
-            # Plots show 20 s at first; a busy machine may take as long to draw a value.
-            await page.run(
-                "(() => { const span = document.getElementById('span');"
-                "span.value = '60'; span.dispatchEvent(new Event('change')); })()"
-            )
-            yield page, bridge
+@pytest.fixture(scope="module")
+def chromium():
+    """A browser for all tests: to start one takes as long as most of them."""
+    with asyncio.Runner() as runner:
+        running = browser()
+        yield runner.run(running.__aenter__())
+        runner.run(running.__aexit__(None, None, None))
+
+
+@pytest.fixture
+def blank(chromium: Browser):
+    """A context manager that gives an empty page, which shares nothing with those before it."""
+
+    @contextlib.asynccontextmanager
+    async def opened():
+        async with aiohttp.ClientSession() as session:
+            async with session.get(f"{chromium._base}/json/version") as answer:
+                address = (await answer.json())["webSocketDebuggerUrl"]
+            whole = Page(await session.ws_connect(address))
+            context = await whole.ask("Target.createBrowserContext", disposeOnDetach=True)
+            target = await whole.ask("Target.createTarget", url="about:blank", **context)
+            address = f"{address.partition('/devtools/')[0]}/devtools/page/{target['targetId']}"
+            page = Page(await session.ws_connect(address, max_msg_size=0))
+            for domain in ("Page", "Runtime", "Log"):
+                await page.ask(f"{domain}.enable")
+            yield page
+            await whole.ask("Target.disposeBrowserContext", **context)
+
+    return opened
+
+
+@pytest.fixture
+def shown(blank):
+    """A context manager that gives a page with a board, and the bridge between them."""
+
+    @contextlib.asynccontextmanager
+    async def opened(device, width=1280, height=900, **more):
+        with served(device) as url:
+            async with (
+                bridging(config_for(url, sinks=("web", "kept"), **more)) as bridge,
+                blank() as page,
+            ):
+                await until(lambda: bridge._flows)
+                await show(page, bridge, width, height)
+                yield page, bridge
+
+    return opened
+
+
+async def show(page, bridge, width, height):
+    await page.resize(width, height)
+    await page.open(bridge.runners[0].sink.server.url)
+    await page.until("document.querySelectorAll('.card').length > 0")
+    # Plots show 20 s at first; a busy machine may take as long to draw a value.
+    await page.run(
+        "(() => { const span = document.getElementById('span');"
+        "span.value = '60'; span.dispatchEvent(new Event('change')); })()"
+    )
 
 
 def text_of(name):
@@ -52,7 +93,7 @@ def text_of(name):
 
 
 @needs_browser
-def test_values_are_seen_and_a_slider_moves_the_servo():
+def test_values_are_seen_and_a_slider_moves_the_servo(shown):
     async def work():
         device = board_of()
         async with shown(device) as (page, _):
@@ -89,7 +130,7 @@ def test_values_are_seen_and_a_slider_moves_the_servo():
 
 
 @needs_browser
-def test_a_slider_moves_by_steps_of_the_raw_value():
+def test_a_slider_moves_by_steps_of_the_raw_value(shown):
     text = (
         "ACTUATOR(arm, 0, a, M, 1, i16, none, (unit, rad), (scale, -0.001), (range, -1570, 1570))\n"
         "ACTUATOR(servo, 1, s, M, 1, i8, none, (range, -100, 100))\n"
@@ -115,7 +156,7 @@ def test_a_slider_moves_by_steps_of_the_raw_value():
 
 
 @needs_browser
-def test_controls_start_where_the_actuators_are_and_follow_them():
+def test_controls_start_where_the_actuators_are_and_follow_them(shown):
     text = (
         "ACTUATOR(arm, 0, a, M, 2, i16, 100, (unit, rad), (scale, -0.001), (range, -1570, 1570))\n"
         "ACTUATOR(lamp, 1, l, M, 1, bool, none)\n"
@@ -161,7 +202,7 @@ def test_controls_start_where_the_actuators_are_and_follow_them():
 
 @needs_browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_at_390_pixels_nothing_is_cut_off(scheme):
+def test_at_390_pixels_nothing_is_cut_off(shown, scheme):
     async def work():
         device = board_of(name="a_board_with_a_name_that_is_long")
 
@@ -195,7 +236,7 @@ def test_at_390_pixels_nothing_is_cut_off(scheme):
 
 
 @needs_browser
-def test_texts_of_boards_are_texts():
+def test_texts_of_boards_are_texts(shown):
     text = 'SENSOR(s, 0, s, M, 1, u8, none, "<img src=x onerror=alert(1)>")\n'
 
     async def work():
@@ -215,7 +256,7 @@ def test_texts_of_boards_are_texts():
 
 
 @needs_browser
-def test_whole_numbers_of_64_bits_keep_their_digits():
+def test_whole_numbers_of_64_bits_keep_their_digits(shown):
     text = (
         "ACTUATOR(count, 0, c, M, 1, u64, none)\n"
         "ACTUATOR(wide, 1, w, M, 1, i64, none, (range, -9007199254740993, 9007199254740993))\n"
@@ -266,7 +307,7 @@ HARD_TO_DRAW = (
 
 
 @needs_browser
-def test_values_that_are_hard_to_draw_end_no_plots():
+def test_values_that_are_hard_to_draw_end_no_plots(shown):
     """Each of them would end the plots of the others."""
     text = "".join(
         f"SENSOR(odd{at}, {at}, o{at}, M, 1, {kind}, none)\n"
@@ -312,7 +353,7 @@ def drawn(name):
 
 
 @needs_browser
-def test_a_single_point_is_seen_also_beside_a_channel_with_many():
+def test_a_single_point_is_seen_also_beside_a_channel_with_many(shown):
     text = "SENSOR(once, 0, o, M, 1, u8, none)\nSENSOR(two, 1, two, M, 2, u8, none)\n"
 
     async def work():
@@ -335,7 +376,7 @@ def test_a_single_point_is_seen_also_beside_a_channel_with_many():
 
 @needs_browser
 @pytest.mark.parametrize(("value", "low", "high"), [(True, 0, 0.4), (False, 0.6, 1)])
-def test_the_axis_of_a_bool_has_nothing_but_false_and_true(value, low, high):
+def test_the_axis_of_a_bool_has_nothing_but_false_and_true(shown, value, low, high):
     async def work():
         device = board_of("SENSOR(on, 0, o, M, 1, bool, none)\n")
         async with shown(device) as (page, _):
@@ -354,7 +395,7 @@ def test_the_axis_of_a_bool_has_nothing_but_false_and_true(value, low, high):
 @pytest.mark.parametrize(
     ("clock", "told"), [("off", "clock not known"), ("follow", "clock free \u00b1")]
 )
-def test_what_is_known_of_a_clock_is_told_also_where_that_is_nothing(clock, told):
+def test_what_is_known_of_a_clock_is_told_also_where_that_is_nothing(shown, clock, told):
     async def work():
         async with shown(board_of(), clock=clock) as (page, _):
             await page.until(f"document.querySelector('.about').innerText.includes('{told}')", 30)
@@ -363,7 +404,7 @@ def test_what_is_known_of_a_clock_is_told_also_where_that_is_nothing(clock, told
 
 
 @needs_browser
-def test_a_bool_jumps_from_one_value_to_the_other():
+def test_a_bool_jumps_from_one_value_to_the_other(shown):
     # Columns of the plot with a line between the rows of false and true.
     between = (
         "(() => { const canvas ="
@@ -392,7 +433,7 @@ def test_a_bool_jumps_from_one_value_to_the_other():
 
 
 @needs_browser
-def test_the_marks_of_channels_follow_the_colours_of_the_system():
+def test_the_marks_of_channels_follow_the_colours_of_the_system(shown):
     script = "getComputedStyle(document.querySelector('.values i')).backgroundColor"
 
     async def work():
@@ -436,7 +477,7 @@ def test_a_board_that_goes_and_comes_and_a_server_that_does():
 
 
 @needs_browser
-def test_a_state_from_before_the_topics_takes_no_cards_away():
+def test_a_state_from_before_the_topics_takes_no_cards_away(shown):
     async def work():
         async with shown(board_of()) as (page, bridge):
             sink = bridge.runners[0].sink
@@ -458,7 +499,7 @@ def test_a_state_from_before_the_topics_takes_no_cards_away():
 
 @needs_browser
 @pytest.mark.parametrize("is_tested", [False, True])
-def test_the_badge_is_told_as_a_claim_unless_there_is_a_report(is_tested):
+def test_the_badge_is_told_as_a_claim_unless_there_is_a_report(shown, is_tested):
     badge = "document.querySelector('.badge')"
 
     async def work():
@@ -479,7 +520,7 @@ def test_the_badge_is_told_as_a_claim_unless_there_is_a_report(is_tested):
 
 
 @needs_browser
-def test_functions_are_asked_for_again_after_a_refusal(monkeypatch):
+def test_functions_are_asked_for_again_after_a_refusal(shown, monkeypatch):
     orders = web_server._ORDERS
     real, count = orders["functions"], itertools.count()
 
@@ -505,7 +546,7 @@ def test_functions_are_asked_for_again_after_a_refusal(monkeypatch):
 
 
 @needs_browser
-def test_16_channels_at_1_khz_are_thinned_and_memory_does_not_grow():
+def test_16_channels_at_1_khz_are_thinned_and_memory_does_not_grow(shown):
     text = "SENSOR(fast, 0, fast, M, 16, i16, none)\n"
 
     async def work():
@@ -565,7 +606,7 @@ def test_colours_have_the_contrast_of_wcag_aa():
 
 
 @needs_browser
-def test_functions_that_are_asked_for_again_keep_what_is_shown(monkeypatch):
+def test_functions_that_are_asked_for_again_keep_what_is_shown(shown, monkeypatch):
     orders, asked, refused = web_server._ORDERS, [], []
     real = orders["functions"]
 
