@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from .fake_usb_backend import FakeBackend
 from .suite import PATIENCE_S, BackToBack
 
 RELAY = [sys.executable, str(Path(__file__).with_name("relay.py"))]
+PLAIN_RELAY = [sys.executable, "-S", "-E", str(Path(__file__).with_name("plain_relay.py"))]
 
 
 def accepted(listener: Listener) -> Transport:
@@ -38,9 +39,11 @@ def through_listener(
 
 
 @contextmanager
-def through_relay(start: Callable[[list[str]], Transport]) -> Iterator[tuple[Transport, Transport]]:
+def through_relay(
+    start: Callable[[list[str]], Transport], relay: Sequence[str] = RELAY
+) -> Iterator[tuple[Transport, Transport]]:
     with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
-        near = start([*RELAY, listener.url.rpartition(":")[2]])
+        near = start([*relay, listener.url.rpartition(":")[2]])
         yield near, accepted(listener)
 
 
@@ -83,7 +86,7 @@ class TestExecByThreads(BackToBack):
             child = Child("exec:relay", command, None, subprocess.PIPE, subprocess.PIPE)
             return threaded("exec:relay", child, 5.0)
 
-        return through_relay(start)
+        return through_relay(start, PLAIN_RELAY)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
