@@ -5,6 +5,11 @@ import socket
 import sys
 import threading
 
+if os.isatty(0):
+    import tty
+
+    tty.setraw(0)
+
 
 def carry_back(tcp: socket.socket) -> None:
     try:

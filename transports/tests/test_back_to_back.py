@@ -96,7 +96,9 @@ class TestPtyChild(BackToBack):
     discards = frozenset({"near"})
 
     def connect(self):
-        return through_relay(lambda command: j2a_transports.open(f"pty:{' '.join(command)}"))
+        return through_relay(
+            lambda command: j2a_transports.open(f"pty:{' '.join(command)}"), PLAIN_RELAY
+        )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
