@@ -46,6 +46,7 @@ _LATEST_US: Final = (1 << 63) // 1000
 _NS_PER_US: Final = 1000
 _NS_PER_MS: Final = 1e6
 _SETTINGS: Final = ("enabled", "period", "decimation", "threshold", "topic", "watchdog")
+_Counts = tuple[int, int, int]
 _new_update = quick_maker(Update)
 _logger = logging.getLogger("j2a.bridge")
 
@@ -85,6 +86,16 @@ class _Flow:
         self._next_us = (now_us if is_behind_gap else self._next_us) + self._least_us
         return True
 
+    @property
+    def counts(self) -> _Counts:
+        """So many samples came, of which so many were lost, and so many skipped."""
+        return self.samples, self.lost, self.skipped
+
+    def go_on_from(self, counts: _Counts) -> None:
+        """Count on where the flow of this topic ended whose board was away, or has changed."""
+        self.samples, self.lost, self.skipped = counts
+        self._before = self.samples
+
     def status(self, span_s: float) -> TopicStatus:
         """Return how samples came since the last time."""
         rate = (self.samples - self._before) / span_s
@@ -102,6 +113,7 @@ class _Board:
         url: where it is.
         client: of the board; None where it is not here.
         flows: its transducers by name; None until they are known.
+        counts: by topic, of its transducers when it was here last.
         problem: what is wrong with it, or "".
     """
 
@@ -111,6 +123,7 @@ class _Board:
         self.wanted = wanted
         self.client: j2a.AsyncClient | None = None
         self.flows: dict[str, _Flow] | None = None
+        self.counts: dict[str, _Counts] = {}
         self.early: deque[tuple[j2a.Sample, int]] = deque()  # and when they came
         self.early_lost: Counter[str] = Counter()  # by transducer
         self.learning = asyncio.Lock()  # what two had learnt at once would be announced twice
@@ -141,7 +154,8 @@ class Bridge:
         self._names = Names(with_board=config.with_board, boards=chosen)
         self._boards: dict[str, _Board] = {}
         self._unmet: dict[str, Counter[str]] = {}  # samples by board and transducer
-        self._serials: dict[str, str] = {}
+        self._serials: dict[str, str] = {}  # and the URL of the board that is known by it
+        self._twins: set[str] = set()  # serial numbers that two boards have had at one time
         self._tasks: set[asyncio.Task[None]] = set()
         self._retried: set[tuple[j2a.AsyncClient, Callable[..., Awaitable[bool]]]] = set()
         self._flows: dict[str, _Flow] = {}
@@ -219,15 +233,26 @@ class Bridge:
     # ------------------------------------------------------------------ boards
 
     async def _identify(self, client: j2a.AsyncClient) -> str:
-        """Return the serial number of a board, or its URL: boards may be built with equal ones."""
+        """Return the serial number of a board, or its URL: boards may be built with equal ones.
+
+        Of such twins the one that was first stays known by the number, at its URL alone: whichever
+        is plugged in again first must not get the topics of the other one.
+        """
         serial = (await client.properties()).get("serial")
-        if not serial or self._serials.setdefault(serial, client.url) != client.url:
+        if not serial:
+            return client.url
+        if self._serials.setdefault(serial, client.url) != client.url:
+            self._twins.add(serial)
             return client.url
         return serial
 
     async def _change(self, change: BoardChange) -> None:
         if not change.is_here:
-            self._serials = {one: url for one, url in self._serials.items() if url != change.url}
+            self._serials = {
+                one: url
+                for one, url in self._serials.items()
+                if url != change.url or one in self._twins
+            }
         if change.board is None:
             if change.reason is not None:  # or the bridge ends before it came
                 _logger.warning("%s", change.reason)
@@ -379,12 +404,14 @@ class Bridge:
         for name, flow in before.items():
             if flows.get(name) is not flow:
                 self._retract(flow)
+        counts = board.counts | {one.topic.name: one.counts for one in before.values()}
         for name, flow in flows.items():
             if before.get(name) is not flow:
+                flow.go_on_from(counts.get(flow.topic.name, (0, 0, 0)))
                 self._announce(flow)
         # Of what it had before it was away, too.
         self._names.keep(board.name, flows)
-        board.flows = flows
+        board.flows, board.counts = flows, {}
         missing = sorted(board.wanted.transducers.keys() - transducers.keys())
         board.problem = transducers.why if not transducers else ""
         if missing:
@@ -418,8 +445,11 @@ class Bridge:
         board.client = None
         board.problem = str(reason) if reason is not None else "taken out"
         flows, board.flows = board.flows, None
+        if flows is not None:
+            board.counts = {one.topic.name: one.counts for one in flows.values()}
+        # Those that waited in vain are lost of their topics, where these come again.
+        board.early_lost.update(sample.name for sample, _ in board.early)
         board.early.clear()
-        board.early_lost.clear()
         for flow in (flows or {}).values():
             self._retract(flow)
         if not self._ended.is_set():
@@ -455,12 +485,14 @@ class Bridge:
     def _take_of(self, board: _Board, sample: j2a.Sample, arrived_ns: int) -> None:
         assert board.flows is not None
         flow = board.flows.get(sample.name)
-        if flow is None:
+        if flow is None:  # not wanted, or `_learn` is under way, which counts it
+            board.early_lost[sample.name] += 1
             return
         flow.samples += 1
         flow.lost += sample.lost + sample.missed
         if not flow.is_as_announced():
-            return  # `_learn` is under way
+            flow.lost += 1  # `_learn` is under way
+            return
         times = flow.times.of(sample.payload)
         newest = max(times)
         if newest - min(times) > _YEAR_US:
