@@ -63,6 +63,7 @@ class SinkRunner:
         self.problem = ""
         self.published = 0
         self.dropped = 0
+        self._came = 0  # samples
         self.opened = threading.Event()
         """Set when it was opened for the first time, or could not be."""
         self._thread = threading.Thread(target=self._work, name=f"j2a sink {name}", daemon=True)
@@ -107,6 +108,7 @@ class SinkRunner:
             if self._samples >= self.sink.WAITING:
                 self._drop_oldest()
             self._waiting.append(update)
+            self._came += 1
             self._samples += 1
             if self._is_asleep:
                 self._wake.notify()
@@ -128,9 +130,10 @@ class SinkRunner:
 
     @property
     def status(self) -> SinkStatus:
-        """How the sink is."""
+        """How the sink is; at the end what still waits counts as dropped: it comes to nothing."""
         lost = self.sink.lost
-        published, dropped = self.published - lost, self.dropped + lost
+        published = self.published - lost
+        dropped = self._came - published if self._is_ended else self.dropped + lost
         return SinkStatus(self.name, self._is_open, self.problem, published, dropped)
 
     def end(self) -> None:

@@ -58,6 +58,8 @@ class McapSink(Sink):
         self._added: dict[str, tuple[str, dict[str, Topic]]] = {}
         self._names: dict[tuple[str, Descriptors, frozenset[tuple[str, str]]], str] = {}
         self._flushed = 0.0
+        self._kept = 0  # samples that are not in the file yet
+        self._size = 0  # of the file
 
     def open(self) -> None:
         """Make the file."""
@@ -78,14 +80,18 @@ class McapSink(Sink):
     def publish(self, update: Update) -> None:
         """Write a sample."""
         assert self._recorder is not None
-        board = update.topic.board
+        recorder, board = self._recorder, update.topic.board
         name, topics = self._added.get(board, ("", {}))
         if topics.get(update.topic.transducer.name) != update.topic:
             name = self._add(update.topic)
+            self._size = recorder.size  # what it says of the board completes no chunk
         try:
-            self._recorder.write(name, update.sample, update.arrived_ns)
+            recorder.write(name, update.sample, update.arrived_ns)
         except ValueError as error:
             raise NotTaken(str(error)) from None
+        self._kept += 1
+        if recorder.size != self._size:  # a chunk is complete, and in the file
+            self._size, self._kept = recorder.size, 0
 
     def _add(self, topic: Topic) -> str:
         """Announce a board as it is now, unless it was so before; return its name in the file."""
@@ -116,6 +122,7 @@ class McapSink(Sink):
         if self._recorder is not None and now - self._flushed >= _EACH_S:
             self._flushed = now
             self._recorder.flush()
+            self._size, self._kept = self._recorder.size, 0
 
     def status(self, status: Any) -> None:
         """Flush also when nothing comes."""
@@ -129,4 +136,8 @@ class McapSink(Sink):
         """End the file."""
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
-            recorder.close()
+            try:
+                recorder.close()
+            except OSError:
+                self.lost += self._kept
+                raise

@@ -77,7 +77,7 @@ class MqttSink(Sink):
         self._boards: dict[str, dict[str, Topic]] = {}
         # Boards whose births stay with the broker.
         self._born: set[str] = set()
-        self._given = 0
+        self._given: list[Any] = []  # samples, since all were sent
         self._id = secrets.token_hex(8)
         self._namesakes: set[str] = set()  # bridges of our name, which were told of us
 
@@ -135,6 +135,8 @@ class MqttSink(Sink):
                 told.wait_for_publish(_WAIT_S)
         client.disconnect()
         client.loop_stop()
+        self.lost += sum(not _is_sent(one) for one in self._given)
+        self._given.clear()
 
     def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _more: Any) -> None:
         if reason.is_failure:
@@ -222,16 +224,14 @@ class MqttSink(Sink):
         """Publish a sample; wait now and then until all are sent."""
         topic = update.topic
         sent = self._send("DDATA", sample_object(update), topic.board, topic.name, qos=0)
-        self._given += 1
-        if self._given % _MOST_UNSENT:
+        if len(self._given) + 1 < _MOST_UNSENT:
+            self._given.append(sent)
             return
-        try:
+        with contextlib.suppress(RuntimeError):  # the connection has ended meanwhile
             sent.wait_for_publish(_TAKEN_S)
-            is_taken = sent.is_published()
-        except RuntimeError:  # the connection has ended meanwhile
-            is_taken = False
-        if not is_taken:
+        if not _is_sent(sent):
             raise SinkError(f"the broker at {self._where} takes no samples")
+        self._given.clear()
 
     # ------------------------------------------------------------------ orders
 
@@ -290,6 +290,14 @@ class MqttSink(Sink):
         about = {"ok": error is None, "message": message, "settings": settings}
         with contextlib.suppress(SinkError):  # the broker has gone meanwhile
             self._send("DRES", about, *filter(None, (board, name)))
+
+
+def _is_sent(message: Any) -> bool:
+    """Whether a message has left this computer for the broker."""
+    try:
+        return bool(message.is_published())
+    except (RuntimeError, ValueError):  # it was not even taken
+        return False
 
 
 def transducer_object(topic: Topic) -> dict[str, Any]:

@@ -65,6 +65,7 @@ class Ros1Sink(Sink):
         self._process: subprocess.Popen[bytes] | None = None
         self._lock = threading.Lock()
         self._unsent = bytearray()  # frames of samples, which only this sink's thread keeps back
+        self._kept = 0  # samples in it
         self._reader: threading.Thread | None = None
         self._said: deque[str] = deque(maxlen=_LINES)
         self._ready = threading.Event()
@@ -87,7 +88,6 @@ class Ros1Sink(Sink):
         self._messages.clear()
         self._numbers.clear()
         self._takers.clear()
-        self._unsent.clear()
         self._next, self._shift_ns = 1, 0
         # genpy makes modules in it, which it would leave behind when the node is killed.
         self._scratch = tempfile.TemporaryDirectory(prefix="j2a-ros1-", ignore_cleanup_errors=True)
@@ -98,6 +98,7 @@ class Ros1Sink(Sink):
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 bufsize=0,
+                process_group=0,  # Ctrl-C is for the bridge, which then ends it
                 cwd=Path("/"),  # where no module stands in the way of those of ROS
                 env={key: one for key, one in os.environ.items() if key != "PYTHONPATH"}
                 | _ros_path()
@@ -128,7 +129,10 @@ class Ros1Sink(Sink):
 
     def close(self) -> None:
         """End the node."""
-        process, self._process = self._process, None
+        with self._lock:
+            process, self._process = self._process, None
+            self._unsent.clear()
+            self.lost, self._kept = self.lost + self._kept, 0
         if process is None:
             return
         assert process.stdin is not None
@@ -186,13 +190,21 @@ class Ros1Sink(Sink):
                 shift_us=update.shift_us + shift_ns // _NS_PER_US,
                 arrived_ns=update.arrived_ns + shift_ns,
             )
-        for number, message in self._messages.get(update.topic.name, ()):
-            data = message.pack(update)
-            if data is not None:
-                with self._lock:
+        packed = [
+            (number, message.pack(update))
+            for number, message in self._messages.get(update.topic.name, ())
+        ]
+        with self._lock:
+            self._kept += 1
+            for number, data in packed:
+                if data is not None:
                     self._keep(node.PUBLISH, number, data)
-                    if len(self._unsent) >= _TOGETHER:
-                        self._write()
+            if len(self._unsent) >= _TOGETHER:
+                try:
+                    self._write()
+                except SinkError:
+                    self.lost -= 1  # who calls counts this one
+                    raise
 
     def flush(self) -> None:
         """Send the samples that came together by one write: each costs the node as much."""
@@ -345,9 +357,18 @@ class Ros1Sink(Sink):
         self._unsent += node.HEADER.pack(what, number, len(data)) + data
 
     def _write(self) -> None:
-        """Write what is unsent; raises as `_send`."""
-        process, unsent = self._process, memoryview(bytes(self._unsent))
+        """Write what is unsent; raises as `_send`, and then the samples in it are lost."""
+        unsent, kept = bytes(self._unsent), self._kept
         self._unsent.clear()
+        self._kept = 0
+        try:
+            self._write_frames(memoryview(unsent))
+        except SinkError:
+            self.lost += kept
+            raise
+
+    def _write_frames(self, unsent: memoryview) -> None:
+        process = self._process
         if process is None or process.stdin is None:
             raise SinkError("the node of ROS 1 has ended")
         fd = process.stdin.fileno()

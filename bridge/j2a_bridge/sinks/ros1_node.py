@@ -10,6 +10,7 @@ knew it.
 import json
 import os
 import select
+import signal
 import struct
 import sys
 import threading
@@ -259,6 +260,8 @@ def tell_time(rospy: Any, pipe: Pipe) -> None:
 
 def main() -> None:
     """Be the node."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # systemd tells all processes
+        signal.signal(number, signal.SIG_IGN)  # that is for the bridge, which then ends this one
     pipe = Pipe()
     threading.Thread(target=watch_bridge, daemon=True).start()
     try:

@@ -83,6 +83,8 @@ class Ros2Sink(Sink):
         self._dds = _Dds()
         self._ros = RosMessages(options["distro"])
         self._participant: Any = None
+        self._graph: Any = None
+        self._diagnostics: Any = None
         self._writers: dict[str, list[tuple[Message, _Writer]]] = {}
         self._readers: dict[str, list[Any]] = {}
         self._lock = threading.Lock()
@@ -117,7 +119,7 @@ class Ros2Sink(Sink):
             self._participant, participant = None, self._participant
         self._writers.clear()
         self._readers.clear()
-        del self._graph, self._diagnostics
+        self._graph = self._diagnostics = None
         del participant
 
     # ------------------------------------------------------------------ topics
