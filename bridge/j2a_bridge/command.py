@@ -12,6 +12,7 @@ import asyncio
 import gc
 import logging
 import signal
+import textwrap
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from j2a_bridge.sink_request import SinkRequest, load_sink, sink_classes
 if TYPE_CHECKING:
     from j2a_bridge.bridge import Bridge
 
+_WIDTH: Final = 80
 SUMMARY: Final = "publish the sensors of boards to ROS 1 and 2, recordings, plotters and more"
 
 
@@ -36,14 +38,21 @@ def notes() -> str:
         try:
             kind = load_sink(point)
         except LocalError as error:
-            lines.append(f"  {name:<10} ({error})")
+            lines += _wrapped(f"  {name:<10} ({error})", 13)
             continue
         head = f"{name}:{kind.ARGUMENT}" if kind.ARGUMENT else name
         head = head.replace(":[", "[:")
-        lines.append(f"  {head:<22} {kind.SUMMARY}")
+        lines += _wrapped(f"  {head:<22} {kind.SUMMARY}", 25)
         for key, option in kind.OPTIONS.items():
-            lines.append(f"      {key}=  {option.help}")
+            lines += _wrapped(f"      {key}=  {option.help}", 10)
     return "\n".join(lines)
+
+
+def _wrapped(line: str, indent: int) -> list[str]:
+    """Return a line as several, so that none is wider than a terminal."""
+    return textwrap.wrap(
+        line, _WIDTH, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 NOTES: Final = """\

@@ -32,7 +32,8 @@ examples:
   j2a fleet --connect tcp/192.168.1.5:7447
   j2a fleet --file zenoh.json5     (keys and certificates for TLS)
 
-Each computer runs `j2a bridge ... --sink zenoh`; one of them, or rmw_zenohd, is the router."""
+Each computer runs `j2a bridge ... --sink zenoh`; one of them, or rmw_zenohd, is
+the router."""
 _MAX_BYTES: Final = 1 << 20
 _MAX_BRIDGES: Final = 1000
 _DEPTH: Final = 6

@@ -41,8 +41,8 @@ examples:
   j2a view usb:// --report report.json
   j2a view tcp://127.0.0.1:5000 --port 8080 --no-browser
 
-The page is served on this computer alone. Who has its address, with the token, may set
-actuators."""
+The page is served on this computer alone. Who has its address, with the token,
+may set actuators."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

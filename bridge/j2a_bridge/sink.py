@@ -31,9 +31,18 @@ __all__ = [
     "Times",
     "TopicStatus",
     "Update",
+    "port_of",
 ]
 
 _NS_PER_US: Final = 1000
+_PORTS: Final = 1 << 16
+
+
+def port_of(text: str) -> int | None:
+    """Return the port that an argument names in decimal digits; None where it names none."""
+    # Python reads thousands of digits as no number, by an error of its own.
+    is_number = text.isdecimal() and len(text) <= len(str(_PORTS))
+    return int(text) if is_number and int(text) < _PORTS else None
 
 
 class SinkError(Exception):

@@ -79,8 +79,10 @@ def load_sink(point: EntryPoint) -> type[Sink]:
     """
     try:
         kind = point.load()
-    except (ImportError, AttributeError, LocalError) as error:
-        raise LocalError(f"does not load: {error}") from None
+    except Exception as error:  # of a package of anybody, which must not hide the other sinks
+        is_plain = isinstance(error, ImportError | AttributeError | LocalError)
+        what = str(error) if is_plain else f"{type(error).__name__}: {error}"
+        raise LocalError(f"does not load: {what}") from None
     if not (isinstance(kind, type) and issubclass(kind, Sink)):
         raise LocalError(f"is {kind!r:.80}, which is no subclass of Sink")
     missing = set(kind.__abstractmethods__)

@@ -23,6 +23,7 @@ NODE: Final = "j2a_bridge"
 ENVIRONMENT: Final = -1
 """In place of a domain of ROS 2: that of the environment."""
 _MAX_DOMAIN: Final = 232
+_MOST_DIGITS: Final = 9
 _NODE_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
 _LONGEST: Final = 64
 """Of the name that a board gives itself: names of topics in ROS 2 are not longer than 250."""
@@ -31,6 +32,16 @@ _BESIDE: Final = re.compile(
     "(_[0-9]+)?"
 )
 """What sinks publish or take behind a topic: other messages of its transducer, and orders."""
+_OF_ROS: Final = (
+    "clock",
+    "diagnostics",  # where the bridge tells of itself
+    "parameter_events",
+    "rosout",
+    "rosout_agg",
+    "tf",
+    "tf_static",
+)
+"""Topics that nodes of ROS publish or take with types of their own."""
 _logger = logging.getLogger("j2a.bridge")
 _BETWEEN: Final = re.compile(r"[^A-Za-z0-9]+")
 
@@ -83,7 +94,7 @@ def domain_of(number: int) -> int:
     """
     if number == ENVIRONMENT:
         text = os.environ.get("ROS_DOMAIN_ID", "") or "0"
-        if not text.isdecimal():
+        if not text.isdecimal() or len(text) > _MOST_DIGITS:
             raise LocalError(f"ROS_DOMAIN_ID is a number, not {text!r:.40}")
         number = int(text)
     if not 0 <= number <= _MAX_DOMAIN:
@@ -103,8 +114,7 @@ class Names:
         self._with_board = with_board
         self._chosen = dict(boards or {})
         self._boards: dict[str, str] = {}
-        # What the bridge says of itself has its topic in ROS.
-        self._topics: dict[str, tuple[str, str]] = {"diagnostics": ("", "")}
+        self._topics: dict[str, tuple[str, str]] = dict.fromkeys(_OF_ROS, ("", ""))
 
     def board(self, identity: str, url: str, properties: Mapping[str, str]) -> str:
         """Return the name of a board: one that was chosen, its own, or with its serial number.

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final
 
 import j2a
 from j2a import LocalError
-from j2a_bridge.sink import Control, Option, Sink, SinkError, Update
+from j2a_bridge.sink import Control, Option, Sink, SinkError, Update, port_of
 from j2a_bridge.topics import Topic
 
 try:
@@ -44,9 +44,10 @@ class FoxgloveSink(Sink):
             raise LocalError(f"the distro is humble or jazzy, not {options['distro']!r:.40}")
         self._foxglove = _package()
         host, _, port = (argument or "127.0.0.1:8765").rpartition(":")
-        if not host or not port.isdecimal() or int(port) >= 1 << 16:
+        number = port_of(port)
+        if not host or number is None:
             raise LocalError(f"foxglove listens at HOST:PORT, not {argument!r:.60}")
-        self._address = host.strip("[]"), int(port)
+        self._address = host.strip("[]"), number
         self._ros = RosMessages(options["distro"])
         self._server: Any = None
         self._channels: dict[str, list[tuple[Message, Any]]] = {}

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Final
 from j2a import LocalError
 from j2a.cli.plugin import json_of, transducer_facts
 from j2a_bridge.json_values import finite
-from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
+from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update, port_of
 from j2a_bridge.topics import Topic, plain_name
 
 __all__ = ["MqttSink", "sample_object", "transducer_object"]
@@ -59,9 +59,14 @@ class MqttSink(Sink):
         self._host = host.strip("[]") or "127.0.0.1"
         self._port = 8883 if options["ca"] else 1883
         if colon:
-            if not port.isdecimal() or not 0 < int(port) < 1 << 16:
+            number = port_of(port)
+            if not number:
                 raise LocalError(f"mqtt speaks with HOST:PORT, not {argument!r:.60}")
-            self._port = int(port)
+            self._port = number
+        if ":" in host and not (host.startswith("[") and host.endswith("]")):
+            raise LocalError(
+                f"an address of IPv6 is in brackets, as in mqtt:[::1]:1883, not {argument!r:.60}"
+            )
         shown = f"[{self._host}]" if ":" in self._host else self._host
         self._where = f"{shown}:{self._port}"
         group = options["group"]
@@ -108,7 +113,7 @@ class MqttSink(Sink):
         where = self._where
         try:
             client.connect(self._host, self._port, keepalive=15)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # the latter for what is no name of a host
             raise SinkError(f"no broker answers at {where}: {error}") from None
         client.loop_start()
         self._client = client

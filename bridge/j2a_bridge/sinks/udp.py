@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, ClassVar
 
 from j2a import LocalError
-from j2a_bridge.sink import Control, Option, Sink, Update
+from j2a_bridge.sink import Control, Option, Sink, SinkError, Update, port_of
 from j2a_bridge.topics import Topic
 
 __all__ = ["UdpSink", "numbers"]
@@ -40,17 +40,21 @@ class UdpSink(Sink):
         self._is_json = options["format"] == "json"
         host, _, port = argument.rpartition(":") if argument else ("127.0.0.1", "", "")
         port = port or str(_PORTS[options["format"]])
-        if not host or not port.isdecimal() or not 0 < int(port) < 1 << 16:
+        number = port_of(port)
+        if not host or not number:
             raise LocalError(
                 f"udp sends to HOST:PORT, such as 127.0.0.1:9870, not {argument!r:.60}"
             )
-        self._address = host.strip("[]"), int(port)
+        self._address = host.strip("[]"), number
         self._socket: socket.socket | None = None
         self._before: dict[str, bytes] = {}
 
     def open(self) -> None:
         """Find the address."""
-        found = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)
+        try:
+            found = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)
+        except (OSError, UnicodeError) as error:  # the latter for what is no name of a host
+            raise SinkError(f"there is no host {self._address[0]!r:.60}: {error}") from None
         family, kind, protocol, _, address = found[0]
         self._socket = socket.socket(family, kind, protocol)
         self._target = address

@@ -26,7 +26,7 @@ from j2a.cli.plugin import plain
 from j2a.types.model import Structure, Type
 from j2a_bridge.actuator_values import ActuatorValues
 from j2a_bridge.json_values import finite
-from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
+from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update, port_of
 from j2a_bridge.sinks.mcap import McapSink
 from j2a_bridge.sinks.mqtt import transducer_object
 from j2a_bridge.sinks.udp import numbers
@@ -143,7 +143,8 @@ class WebSink(Sink):
 
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
         super().__init__(argument, options, control)
-        if argument and not (argument.isdecimal() and int(argument) < 1 << 16):
+        port = port_of(argument or "0")
+        if port is None:
             raise LocalError(f"web takes a port, not {argument!r:.40}")
         if options["token"] and not _TOKEN.fullmatch(options["token"]):
             raise LocalError("the token of web is 16 or more of A-Z, a-z, 0-9, _ and -")
@@ -161,7 +162,7 @@ class WebSink(Sink):
         self._problem = ""
         self.actuators = ActuatorValues()
         self.reports: Sequence[Run] = ()
-        self.server = PageServer(self, int(argument or 0), options["token"])
+        self.server = PageServer(self, port, options["token"])
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
 
