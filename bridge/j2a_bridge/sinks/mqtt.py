@@ -80,8 +80,11 @@ class MqttSink(Sink):
         self._connected = threading.Event()
         self._why = ""
         self._boards: dict[str, dict[str, Topic]] = {}
+        self._births = threading.Lock()  # of boards: the last one that is told is the one that is
         # Boards whose births stay with the broker.
         self._born: set[str] = set()
+        # Those of which this connection has told.
+        self._told: set[str] = set()
         self._given: list[Any] = []  # samples, since all were sent
         self._id = secrets.token_hex(8)
         self._namesakes: set[str] = set()  # bridges of our name, which were told of us
@@ -94,6 +97,7 @@ class MqttSink(Sink):
         self._boards.clear()
         self._connected.clear()
         self._why = ""
+        self._told.clear()
         # `open` connects again, for paho would do so without the subscription and the births.
         client = paho.Client(
             paho.CallbackAPIVersion.VERSION2, client_id="", reconnect_on_failure=False
@@ -120,10 +124,13 @@ class MqttSink(Sink):
         if not self._connected.wait(_WAIT_S):
             why = self._why or "it does not say why"
             raise SinkError(f"the broker at {where} takes no connection: {why}")
-        client.subscribe([(f"{self._topic('DCMD')}/#", 1), (self._topic("NBIRTH"), 1)])
+        heard = [f"{self._topic('DCMD')}/#", f"{self._topic('DBIRTH')}/+"]
+        heard += self._topic("NBIRTH"), self._topic("NDEATH")
+        client.subscribe([(one, 1) for one in heard])
         self._tell_birth()
-        for board in sorted(self._born):  # what is here still is announced anew
-            self._bury(board)
+        with self._births:
+            for board in sorted(self._born):  # what is here still is announced anew
+                self._bury(board)
 
     def told(self) -> str:
         """Return where it publishes."""
@@ -156,6 +163,13 @@ class MqttSink(Sink):
 
     def _tell_birth(self) -> None:
         self._send("NBIRTH", {"version": 1, "bridge": self._id}, retain=True)
+
+    def _live(self, client: Any, message: Any) -> None:
+        """Take back a death that the broker still keeps: who comes later would be told of it."""
+        if message.retain and message.payload:
+            client.publish(message.topic, b"", qos=1, retain=True)  # which is not kept
+            with contextlib.suppress(SinkError):  # the broker is gone already
+                self._tell_birth()
 
     def _meet(self, message: Any) -> None:
         """Notice that another bridge has our name, and have it notice us."""
@@ -201,27 +215,38 @@ class MqttSink(Sink):
 
     def announce(self, topic: Topic) -> None:
         """Tell what the board has now."""
-        board = self._boards.setdefault(topic.board, {})
-        board[topic.name] = topic
-        self._tell(topic.board)
+        with self._births:
+            self._boards.setdefault(topic.board, {})[topic.name] = topic
+            self._tell(topic.board)
 
     def retract(self, topic: Topic) -> None:
         """Tell that the board has less, or is gone."""
-        board = self._boards.get(topic.board, {})
-        board.pop(topic.name, None)
-        if board:
-            self._tell(topic.board)
-        else:
-            self._boards.pop(topic.board, None)
-            self._bury(topic.board)
+        with self._births:
+            board = self._boards.get(topic.board, {})
+            board.pop(topic.name, None)
+            if board:
+                self._tell(topic.board)
+            else:
+                self._boards.pop(topic.board, None)
+                self._bury(topic.board)
+
+    def _bury_old(self, board: str, message: Any) -> None:
+        """Take back the birth of a board that was here before this program, and is not now."""
+        if not message.retain or message.payload in (b"", b"{}"):
+            return
+        with self._births, contextlib.suppress(SinkError):  # the broker is gone already
+            if board not in self._told:
+                self._bury(board)
 
     def _bury(self, board: str) -> None:
         self._send("DDEATH", {}, board)
         self._send("DBIRTH", {}, board, retain=True)
         self._born.discard(board)
+        self._told.add(board)
 
     def _tell(self, board: str) -> None:
         self._born.add(board)
+        self._told.add(board)
         about = {name: transducer_object(one) for name, one in self._boards[board].items()}
         self._send("DBIRTH", {"topics": about}, board, retain=True)
 
@@ -240,12 +265,19 @@ class MqttSink(Sink):
 
     # ------------------------------------------------------------------ orders
 
-    def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
+    def _on_message(self, client: Any, _data: Any, message: Any) -> None:
         head = self._topic("DCMD") + "/"
         board = name = ""
         try:
             if message.topic == self._topic("NBIRTH"):
                 self._meet(message)
+                return
+            if message.topic == self._topic("NDEATH"):
+                self._live(client, message)
+                return
+            birth = self._topic("DBIRTH") + "/"
+            if message.topic.startswith(birth):
+                self._bury_old(message.topic.removeprefix(birth), message)
                 return
             board, _, name = message.topic.removeprefix(head).partition("/")
             if message.retain:
