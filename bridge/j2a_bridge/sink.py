@@ -133,7 +133,8 @@ class TopicStatus:
         rate_hz: in the last second.
         latency_ms: from the reading to its arrival, the median of the last second; None where the
             clock of the board is not known.
-        lost: values that were lost on the board or on the link.
+        lost: values that were lost on the board or on the link, and samples that the bridge could
+            not publish as it did not know their topic then.
         skipped: samples left out because they came more often than was asked for.
     """
 
@@ -181,7 +182,8 @@ class SinkStatus:
         is_open: it takes samples.
         problem: why it does not, or "".
         published: samples it took.
-        dropped: samples it lost because it was slow or not open.
+        dropped: samples it lost because it was slow or not open, could not take, or had taken when
+            it failed.
     """
 
     name: str
