@@ -38,7 +38,7 @@ def notes() -> str:
         try:
             kind = load_sink(point)
         except LocalError as error:
-            lines += _wrapped(f"  {name:<10} ({error})", 13)
+            lines.append(f"  {name:<10} ({error})")  # it may have a command to copy
             continue
         head = f"{name}:{kind.ARGUMENT}" if kind.ARGUMENT else name
         head = head.replace(":[", "[:")

@@ -14,6 +14,7 @@ from j2a_bridge.bridge import _EARLY, _MAX_ORDERS, Bridge
 from j2a_bridge.config import BoardConfig, Config, SensorConfig
 from j2a_bridge.sink import SinkError
 from j2a_bridge.sink_request import SinkRequest
+from j2a_bridge.topics import _OF_ROS
 
 import j2a
 from j2a.aio import AsyncTransducers
@@ -101,7 +102,7 @@ class TestTopics:
                 await until(lambda: not bridge._flows)
             assert len(bridge._boards) <= 4
             assert len(bridge._names._boards) <= 4
-            assert len(bridge._names._topics) <= 1 + 4 * 3
+            assert len(bridge._names._topics) <= len(_OF_ROS) + 4 * 3
 
     @in_event_loop
     async def test_the_topic_of_a_transducer_that_is_gone_is_free(self, kept):
