@@ -27,6 +27,7 @@ from j2a.cli._exit import (
     exit_codes_help,
     is_of_a_file,
 )
+from j2a.cli._help import Formatter, fitted
 from j2a.cli._output import drop_output, finish_output, note, prepare_output, show, show_json
 from j2a.cli._urls import url_list
 
@@ -52,7 +53,7 @@ class _Parser(argparse.ArgumentParser):
     def format_help(self) -> str:
         """Return the help; the default `url_help`, a function, gives the part about URLs."""
         url_help = self.get_default("url_help")
-        return super().format_help() + (f"\n{url_help()}\n" if url_help else "")
+        return super().format_help() + (f"\n{fitted(url_help())}\n" if url_help else "")
 
     def print_help(self, file: SupportsWrite[str] | None = None) -> None:
         """Print the help; argparse itself would not tell when that fails."""
@@ -127,7 +128,7 @@ def _run_command(name: str, command: _commands.Command, summary: str, argv: list
         prog=f"j2a {name}",
         description=summary[0].upper() + summary[1:],
         epilog=f"{getattr(command, 'NOTES', '')}\n\n{exit_codes_help()}".strip(),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=Formatter,
         allow_abbrev=False,
     )
     command.add_arguments(parser)
@@ -141,7 +142,7 @@ def _help() -> str:
     summaries = _commands.summaries()
     width = max(map(len, summaries))
     commands = "\n".join(f"  {name:<{width}}  {what}" for name, what in summaries.items())
-    return (
+    return fitted(
         "usage: j2a COMMAND ...      (j2a COMMAND --help says more; j2a --version)\n\n"
         "Calls functions of microcontrollers, over any byte stream.\n\n"
         f"commands:\n{commands}\n\n{url_list()}\n\n{exit_codes_help()}"

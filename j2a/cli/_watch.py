@@ -62,7 +62,7 @@ from j2a.types.model import SifShape
 
 NOTES = f"""\
 examples:
-  j2a watch tcp://127.0.0.1:5000 counter --call 'sifPeriod 100' --count 10 --json
+  j2a watch tcp://127.0.0.1:5000 counter --call 'sifPeriod 100' --json
   j2a watch tcp://127.0.0.1:5000 --call 'sifPeriod 100' --then 'sifPeriod 0'
   j2a watch tcp://127.0.0.1:5000 0x20 --as u32
   j2a watch tcp://127.0.0.1:5000 quad

@@ -56,9 +56,7 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, _Parser | None]:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     chosen = None
     for name, text in _COMMANDS.items():
-        command = commands.add_parser(
-            name, help=text, formatter_class=argparse.RawDescriptionHelpFormatter
-        )
+        command = commands.add_parser(name, help=text)
         if name in words[:1]:
             _module(name).add_arguments(command)
             chosen = command

@@ -23,8 +23,9 @@ def test_help_names_every_command_and_exit_code(run):
         assert result.code == 0
         for word in _commands.names():
             assert f"\n  {word} " in result.out
+        words = " ".join(result.out.split())  # it is folded to fit the terminal
         for code, meaning in EXIT_CODES.items():
-            assert f"{code:>5}  {meaning}" in result.out
+            assert f" {code} {meaning}" in words
     assert run().code == 2
 
 
@@ -34,6 +35,22 @@ def test_help_of_each_command(run, command):
     assert result.code == 0
     assert result.out.startswith(f"usage: j2a {command} ")
     assert "exit codes:\n    0  done\n" in result.out
+
+
+@pytest.mark.parametrize("columns", [70, 80, 120])
+@pytest.mark.parametrize("command", ["", *_commands.names()])
+def test_help_fits_the_terminal(run, monkeypatch, command, columns):
+    said = {}
+    for width in (columns, 1000):
+        monkeypatch.setenv("COLUMNS", str(width))
+        said[width] = run(*filter(None, (command, "--help"))).out
+    # A command is copied as a line, and no word is broken: what is longer has no gap to break at.
+    for line in said[columns].splitlines():
+        is_word = " " not in line.strip()
+        is_command = re.match(r"  (\S+ )*?(j2a|sudo|rostopic|ros2)\b", line)
+        assert len(line) <= columns or is_word or is_command, line
+    if command == "":  # all that is said is said
+        assert said[columns].split() == said[1000].split()
 
 
 class Point:
