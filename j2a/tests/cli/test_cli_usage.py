@@ -145,6 +145,7 @@ def test_version(run):
         (["echo", NOWHERE, "--size=--"], "argument --size: expected one argument"),
         (["record", NOWHERE, "-o--"], "argument -o/--output: expected one argument"),
         (["bridge", NOWHERE, "--sink=--"], "argument --sink: expected one argument"),
+        (["watch", NOWHERE, "--count", "-1e9"], "is written as in --count=-1\n"),
         (["watch", NOWHERE, "256"], "not from 0 to 255"),
         (["watch", NOWHERE, "0x"], "not a whole number"),
         (["watch", NOWHERE, "--duration", "inf"], "must have an end"),
