@@ -237,33 +237,26 @@ void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value) {
 
 /* ------------------------------------------------------------------------- sensors: what goes to the host ------ */
 
-/* Copies a sample; returns its bytes, 0 if values came in between all the time. is_sif: those in it wait no more, so where
- * one came in between, which may be in it or not, all is copied anew. */
-static uint8_t copy_sample(const j2a_transducer *t, uint8_t *payload, bool is_sif) {
+/* Copies a sample; returns its bytes, 0 if values came in between all the time. */
+static uint8_t copy_sample(const j2a_transducer *t, uint8_t *payload) {
     const uint8_t size = (uint8_t)(J2A_TIME_BYTES + t->size);
-    uint8_t anew = COPIES;
-    uint8_t length;
-    uint8_t i;
-    do {
-        const volatile uint8_t *slot = t->slots;
-        uint8_t channel;
-        length = 0;
-        if (is_sif)
-            t->sensor->is_fresh = false;
-        for (channel = 0; channel < t->channels; channel++, slot += size, length = (uint8_t)(length + size)) {
-            uint8_t copies = COPIES;
-            uint8_t version;
-            do {
-                if (copies-- == 0)
-                    return 0;
-                version = t->sensor ? t->sensor->head : 0;
-                for (i = 0; i < size; i++)
-                    payload[length + i] = slot[i];
-            } while (t->sensor && ((version & 1) != 0 || version != t->sensor->head));
-        }
-    } while (is_sif && t->sensor->is_fresh && --anew != 0);
-    for (i = 0; t->sensor && i < length; i = (uint8_t)(i + size))
-        convert_stamp(payload + i);
+    const volatile uint8_t *slot = t->slots;
+    uint8_t length = 0;
+    uint8_t channel;
+    for (channel = 0; channel < t->channels; channel++, slot += size, length = (uint8_t)(length + size)) {
+        uint8_t copies = COPIES;
+        uint8_t version;
+        uint8_t i;
+        do {
+            if (copies-- == 0)
+                return 0;
+            version = t->sensor ? t->sensor->head : 0;
+            for (i = 0; i < size; i++)
+                payload[length + i] = slot[i];
+        } while (t->sensor && ((version & 1) != 0 || version != t->sensor->head));
+        if (t->sensor)
+            convert_stamp(payload + length);
+    }
     return length;
 }
 
@@ -319,10 +312,14 @@ static bool report(const j2a_transducer *t, uint8_t *payload) {
     late_us = local_us() - sensor->reference_us - sensor->period_us;
     if (!sensor->is_enabled || late_us >> 63 != 0) /* it is due later */
         return false;
-    if (t->depth != 0)
+    if (t->depth != 0) {
         length = move_queued(t, payload);
-    else
-        length = copy_sample(t, payload, true);
+    } else {
+        sensor->is_fresh = false;
+        length = copy_sample(t, payload);
+        if (length == 0)
+            sensor->is_fresh = true;
+    }
     if (length == 0)
         return false;
     move_reference(sensor, late_us);
@@ -725,7 +722,7 @@ static uint8_t read_item(const j2a_transducer *t, uint8_t item, uint8_t *payload
     uint8_t length = 0;
     switch (item) {
     case J2A_TRANSD_SAMPLE:
-        return copy_sample(t, payload, false);
+        return copy_sample(t, payload);
     case J2A_TRANSD_ENABLED:
         payload[0] = t->sensor->is_enabled;
         return 1;
@@ -800,8 +797,6 @@ uint8_t j2a_transd(uint8_t *const length, uint8_t **const payload) {
     code = count > 2 ? write_item(&t, item, bytes + 2, (uint8_t)(count - 2)) : 0;
     if (code == 0)
         *length = read_item(&t, item, bytes);
-    if (item == J2A_TRANSD_SAMPLE && *length == 0)
-        code = J2A_RET_FAILED; /* values came in between all the time */
     service = FREE;
     return code;
 }

@@ -310,7 +310,7 @@ static void ask(void) {
     room[0] = id;
     room[1] = item;
     code = j2a_transd(&length, &payload);
-    //@ check code <= (J2A_WITH_SAVE ? J2A_TRANSD_BUSY : J2A_TRANSD_BAD_VALUE) || code == J2A_RET_FAILED;
+    //@ check code <= (J2A_WITH_SAVE ? J2A_TRANSD_BUSY : J2A_TRANSD_BAD_VALUE);
     //@ check code == 0 || length == 0;
     //@ check payload == (uint8_t *)room && length <= J2A_ROOM;
     (void)code;

@@ -1,2 +1,0 @@
-#define J2A_TICKS_PER_MS 1u
-#define J2A_PORT_NAME "races"
