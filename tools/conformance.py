@@ -50,7 +50,7 @@ SWEEPS = (
 # the processor as much as three others.
 FURTHER = (
     *("transducers-328p", "transducers-arduino", "transducers-rp2040", "listing-32u2"),
-    *("clock-328p", "clock-32bit", "clock-big-endian", "clock-riscv", "clock-rp2040"),
+    *("clock-328p", "clock-32bit", "clock-big-endian", "clock-rp2040"),
     "transducers-32bit",
 )
 LINK = ("frame", "core", "sif", "timing")
@@ -90,7 +90,6 @@ PARTS = {
     "transducers": ("transducers",),
     "transducers-avr": ("transducers",),
     "transducers-avr-usb": SENT,
-    "transducers-riscv": SENT,
 }
 # Of PARTS, the one of each kind of code that does the sweeps of its levels, too.
 SWEEPING = (

@@ -13,7 +13,7 @@ KILLER = "stuff.escape-ff"
 
 
 def forget():
-    for cached in (judged._hash_of, judged._hashes_behind, judged._versions):
+    for cached in (judged._hash_of, judged._hashes_behind, judged._read, judged._versions):
         cached.cache_clear()
 
 

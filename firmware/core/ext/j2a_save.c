@@ -137,7 +137,7 @@ static bool gather(const j2a_transducer *t, uint16_t at) {
     return differs;
 }
 
-static uint32_t now_us(void) {
+static uint32_t turn_us(void) {
     return (uint32_t)j2a_port_time_us();
 }
 
@@ -164,7 +164,7 @@ uint8_t j2a_save(const j2a_transducer *t, const uint8_t *value, uint8_t length) 
         record[i] = (uint8_t)crc;
     saving_at = (uint16_t)(at + (kept == 0 ? bytes : 0));
     saving_id = t->id;
-    saving_since_us = now_us();
+    saving_since_us = turn_us();
     saving_left = (uint8_t)(bytes + 1);
     return 0;
 }
@@ -185,7 +185,7 @@ void j2a_save_turn(void) {
         const bool is_last = saving_left == 1;
         const uint8_t byte = saving_next == 0 ? NO_MARK : record[is_last ? MARK : saving_next];
         if (!j2a_port_keep((uint16_t)(saving_at + (is_last ? MARK : saving_next)), byte)) {
-            if (now_us() - saving_since_us >= LONGEST_US) {
+            if (turn_us() - saving_since_us >= LONGEST_US) {
                 saving_left = 0;
                 saving_next = NONE;
             }

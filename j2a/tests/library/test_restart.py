@@ -578,15 +578,14 @@ class TestHandlers:
     @pytest.mark.parametrize("came_before", range(2))
     def test_a_sif_is_decoded_by_what_it_was_found_by(self, came_before):
         """Another thread may take a new map in between."""
-        firmware = old_firmware()
         sif = j2a.Sif(7, b"\x05", 0, 0)
-        with linked(firmware) as client:
+        with linked(old_firmware()) as client:
             beats = NamedSif(client._device, "beat")
             for _ in range(came_before):
                 assert sif.opcode in beats
                 beats.decode(sif)
             assert sif.opcode in beats
-            client._device.take_map(j2a.Reply(*firmware._execute(0, b"")))
+            client._device.take_map(j2a.Reply(*new_firmware()._execute(0, b"")))
             assert tuple(beats.decode(sif).values) == (5,)
             assert sif.opcode not in beats
 
