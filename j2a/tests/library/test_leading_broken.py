@@ -53,6 +53,7 @@ class Broken(TcpTransport):
 @pytest.fixture
 def link(monkeypatch):
     monkeypatch.setattr("j2a.io.blocking.LEAD_S", PATIENCE_S)
+    monkeypatch.setattr("j2a.io.threads._LINGER_S", 1.0)  # no other thread reads between two calls
     near, far = tcp_pair(Broken)
     with far, j2a.Client(near, timeout=PATIENCE_S) as client:
         while near.last is not threading.current_thread():  # the reading thread lets go in its time
