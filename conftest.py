@@ -21,6 +21,7 @@ from typing import NoReturn
 
 import pytest
 
+from firmware.verify.one_file import write_one_file
 from firmware.verify.packages import advice
 
 if os.environ.get("J2A_GUEST") != "1":  # an emulated processor takes seconds to import it
@@ -254,15 +255,12 @@ def make(need: Callable[[str], None]) -> Make:
 
 
 def _core_as_one(folder: Path) -> dict[str, str]:
-    """Write one file that includes the core; return the variables of make that compile it.
-
-    To start a compiler for each of its files takes as long as all else of a build.
-    """
+    """Write one file that includes the core; return the variables of make that compile it."""
     core = ROOT / "firmware/core"
     sources = {*core.glob("*.c"), *core.glob("ext/*.c")} - {*core.glob("*_table.c")}
     one = folder / "j2a_core.c"
     if not one.exists():  # make goes by its time
-        one.write_text("".join(f'#include "{path}"\n' for path in sorted(sources)), "utf-8")
+        write_one_file(one, sources)
     return {"SOURCES": WITH_ONE_CORE.format(one), "VPATH": str(folder)}
 
 

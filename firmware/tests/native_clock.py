@@ -16,6 +16,26 @@ _TURN_US = 1000
 _number = itertools.count()
 
 
+def run_with_clock(code: str, folder: Path) -> tuple[int, str]:
+    """Run a program that includes sources of the clock; returns its exit status and output.
+
+    Args:
+        code: in C, with a `main`.
+        folder: for the program.
+    """
+    source, program = folder / "with_clock.c", folder / "with_clock"
+    source.write_text(code)
+    core = FIRMWARE / "core"
+    subprocess.run(
+        ["gcc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{core}",
+         f"-I{FIRMWARE / 'tests/clock_native'}", "-DJ2A_WITH_SYNC=1", source,
+         core / "ext/j2a_clock.c", FIRMWARE / "tests/clock_native/fake.c", "-o", program],
+        check=True,
+    )  # fmt: skip
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout
+
+
 class _Frame(ctypes.Structure):
     _fields_ = (("number", ctypes.c_uint16), ("began", ctypes.c_uint32))
 

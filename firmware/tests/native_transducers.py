@@ -16,6 +16,8 @@ from typing import TypeVar
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 
+from firmware.verify.one_file import write_one_file
+
 FIRMWARE = Path(__file__).parents[1]
 OWN = FIRMWARE / "tests/transducers_native"
 NEWEST, QUEUED, SERVO, SECOND, PAIR = range(5)
@@ -41,10 +43,8 @@ def build(folder: Path, sync: bool, boot: bool = False, more: Sequence[str | Pat
     """
     library = folder / f"transducers-{int(sync)}.so"
     core = FIRMWARE / "core"
-    one = folder / "core.c"  # a compiler takes as long to start as to compile one of them
     tables = {*core.glob("*_table.c")}  # define macros of the same names
-    parts = sorted({*core.rglob("*.c")} - tables)
-    one.write_text("".join(f'#include "{path}"\n' for path in parts), "utf-8")
+    one = write_one_file(folder / "core.c", {*core.rglob("*.c")} - tables)
     subprocess.run(
         ["gcc", "-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wno-overlength-strings",
          "-Werror", "-fsanitize=undefined", "-fno-sanitize-recover", "-shared", "-fPIC",

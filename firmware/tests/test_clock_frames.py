@@ -2,7 +2,6 @@
 
 import itertools
 import random
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ from j2a_spec.grammar import (
     CLOCK_STATUS,
 )
 
-from firmware.tests.native_clock import FIRMWARE, NativeClock, build
+from firmware.tests.native_clock import NativeClock, build, run_with_clock
 
 S = 1_000_000
 UNIX = 1_700_000_000 * S
@@ -93,17 +92,7 @@ class Bus:
 
 
 def test_the_rate_of_each_period_is_that_of_a_division(tmp_path: Path) -> None:
-    source, program = tmp_path / "every_period.c", tmp_path / "every_period"
-    source.write_text(EVERY_PERIOD)
-    core = FIRMWARE / "core"
-    subprocess.run(
-        ["gcc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{core}",
-         f"-I{FIRMWARE / 'tests/clock_native'}", "-DJ2A_WITH_SYNC=1", source,
-         core / "ext/j2a_clock.c", FIRMWARE / "tests/clock_native/fake.c", "-o", program],
-        check=True,
-    )  # fmt: skip
-    done = subprocess.run([program], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "")
+    assert run_with_clock(EVERY_PERIOD, tmp_path) == (0, "")
 
 
 @pytest.mark.requirement("SYNC-004")

@@ -3,12 +3,11 @@
 8 * the frames since then are more than 32 bits hold when these are 2^29, 6 days and 5 hours.
 """
 
-import subprocess
 from pathlib import Path
 
 import pytest
 
-from firmware.tests.native_clock import FIRMWARE
+from firmware.tests.native_clock import run_with_clock
 
 # Frames between two times that are told, of each step; what is remembered must be what 64 bits say.
 CODE = r"""
@@ -48,14 +47,4 @@ int main(void) {
 @pytest.mark.requirement("SYNC-007")
 def test_the_line_remembers_days_of_silence(need, tmp_path: Path) -> None:
     need("gcc")
-    source, program = tmp_path / "silence.c", tmp_path / "silence"
-    source.write_text(CODE)
-    core = FIRMWARE / "core"
-    subprocess.run(
-        ["gcc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{core}",
-         f"-I{FIRMWARE / 'tests/clock_native'}", "-DJ2A_WITH_SYNC=1", source,
-         core / "ext/j2a_clock.c", FIRMWARE / "tests/clock_native/fake.c", "-o", program],
-        check=True,
-    )  # fmt: skip
-    done = subprocess.run([program], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "")
+    assert run_with_clock(CODE, tmp_path) == (0, "")

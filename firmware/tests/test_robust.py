@@ -10,6 +10,8 @@ from j2a_spec import constants as c
 from j2a_spec import selftest
 from j2a_spec.oracle import Frame, encode
 
+from firmware.verify.one_file import write_one_file
+
 FIRMWARE = Path(__file__).parents[1]
 SANITIZE = "-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all"
 STRICT = "-std=c99 -Wall -Wextra -Wpedantic -Werror -Wmissing-prototypes -Wno-overlength-strings"
@@ -22,10 +24,8 @@ NASTY = bytes((c.SOF, c.SOS, c.ESC, c.SOF - 1, c.SOS - 1, c.ESC - 1, 0xFF, 0, EC
 def test_golden_vectors_in_c(tmp_path, cc, sign):
     if shutil.which(cc) is None:
         pytest.skip(f"{cc} is not installed")
-    program, core = tmp_path / "vectors", tmp_path / "core.c"
-    # A compiler takes as long to start as to compile one of them.
-    parts = sorted((FIRMWARE / "core").rglob("*.c"))
-    core.write_text("".join(f'#include "{part}"\n' for part in parts), "utf-8")
+    program = tmp_path / "vectors"
+    core = write_one_file(tmp_path / "core.c", (FIRMWARE / "core").rglob("*.c"))
     command = [cc, sign, *STRICT.split(), *SANITIZE.split(), "-DJ2A_WITH_SELFTEST=1", "-Icore"]
     command += ["-Iports/posix", "-Iapps/builtins"]
     result = subprocess.run(
