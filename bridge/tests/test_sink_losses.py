@@ -1,6 +1,7 @@
 """What a sink has taken and did not bring to its end counts as dropped, however it was lost."""
 
 import errno
+import itertools
 import os
 import signal
 import struct
@@ -122,14 +123,9 @@ class Message:
         pass
 
 
-@pytest.mark.parametrize("is_sent", [False, None])
-@pytest.mark.parametrize("count", [3, 102])
-def test_samples_that_paho_has_not_sent_are_dropped(is_sent, count):
-    sink, of = make_sink(SinkRequest("mqtt"), None), topic_of(LEVEL)
-    given = [Message(number < 100 or is_sent) for number in range(count)]
-    if count < 100:
-        given = [Message(is_sent) for _ in range(count)]
-    waiting = iter(given)
+def give(sink, messages):
+    """Let a sink of MQTT have a client that makes one message of each sample, and then has gone."""
+    waiting = iter(messages)
     sink._client = SimpleNamespace(
         publish=lambda *about, **how: next(waiting),
         is_connected=lambda: False,
@@ -137,6 +133,16 @@ def test_samples_that_paho_has_not_sent_are_dropped(is_sent, count):
         loop_stop=lambda: None,
     )
     sink._connected.set()
+
+
+@pytest.mark.parametrize("is_sent", [False, None])
+@pytest.mark.parametrize("count", [3, 102])
+def test_samples_that_paho_has_not_sent_are_dropped(is_sent, count):
+    sink, of = make_sink(SinkRequest("mqtt"), None), topic_of(LEVEL)
+    given = [Message(number < 100 or is_sent) for number in range(count)]
+    if count < 100:
+        given = [Message(is_sent) for _ in range(count)]
+    give(sink, given)
     for number in range(count):
         sink.publish(sample_of(of, number))
     sink.close()
@@ -147,13 +153,7 @@ def test_samples_that_paho_has_not_sent_are_dropped(is_sent, count):
 
 def test_the_sample_at_which_the_broker_is_found_gone_counts_once():
     sink, of = make_sink(SinkRequest("mqtt"), None), topic_of(LEVEL)
-    sink._client = SimpleNamespace(
-        publish=lambda *about, **how: Message(None),
-        is_connected=lambda: False,
-        disconnect=lambda: None,
-        loop_stop=lambda: None,
-    )
-    sink._connected.set()
+    give(sink, itertools.repeat(Message(None)))
     for number in range(99):
         sink.publish(sample_of(of, number))
     with pytest.raises(SinkError, match="takes no samples"):
