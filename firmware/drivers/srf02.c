@@ -15,7 +15,7 @@ static bool is_asked;     /* by srf02_trigger() */
 static bool is_under_way; /* the transfer of this channel */
 static wait_t begun;      /* it, or the measurement */
 static uint8_t bytes[2];
-static uint16_t found[SRF02_COUNT]; /* centimetres, 0 for none */
+static uint16_t found[SRF02_COUNT]; /* whether it measures, then centimetres; 0 for none */
 
 void srf02_set_cb(void (*new_value)(uint8_t channel, uint32_t cm)) {
     callback = new_value;
@@ -67,8 +67,12 @@ void srf02_task(void) {
         twi_stop();
     }
     is_under_way = false;
-    if (phase == READING)
-        found[channel] = state == TWI_DONE ? (uint16_t)(bytes[0] << 8 | bytes[1]) : 0;
+    if (state != TWI_DONE)
+        found[channel] = 0;
+    else if (phase == TELLING)
+        found[channel] = 1;
+    else if (found[channel] != 0) /* else it has the distance of before */
+        found[channel] = (uint16_t)(bytes[0] << 8 | bytes[1]);
     if (++channel < SRF02_COUNT)
         return;
     channel = 0;

@@ -849,6 +849,34 @@ def test_ultrasonic_sensors_and_encoders_triggered_at_one_time(triggered):
     board.sim.close()
 
 
+@pytest.mark.avr
+def test_a_distance_is_measured_behind_its_trigger_or_is_none(triggered):
+    """A sensor that was away while all were told to measure has only the distance of before."""
+    dist_us, sensor, other = 2, 0x75, 0x7B
+    board = Board(triggered("listing", "quad", "dist_us"))
+    twi = board.sim.twi
+    board.enable(QUAD, on=False)
+    for address in (sensor, other):
+        twi.set_distance(address, 100)
+
+    def seen():
+        trigger_at(board, 0, dist_us)
+        told = twi.measurements(other) + 1
+        while twi.measurements(other) < told:
+            board.sim.run(160)
+        twi.set_distance(sensor, 300)  # it is back while the others measure
+        board.pause(0.1)
+        sample = board.transd(dist_us, c.TRANSD_SAMPLE).payload
+        return [cm for _, cm in struct.iter_unpack("<QI", sample)]
+
+    none = 0x00FFFFFF
+    assert seen() == [none] * 5 + [100] + [none] * 5 + [100]
+    twi.remove(sensor)
+    assert seen() == [none] * 11 + [100]
+    assert seen() == [none] * 5 + [300] + [none] * 5 + [100]
+    board.sim.close()
+
+
 # -- the app, its size and its time ------------------------------------------------------------
 
 
