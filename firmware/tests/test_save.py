@@ -1,6 +1,9 @@
 """Settings that stay without power: over resets, other firmware, damage, a reset at any byte."""
 
 import itertools
+import os
+import resource
+import shlex
 from functools import cache
 from pathlib import Path
 
@@ -50,6 +53,13 @@ def image(build_firmware, tmp_path_factory):
         )
 
     return build
+
+
+def running(program):
+    """The process of ours that runs a program."""
+    ours = Path(f"/proc/self/task/{os.getpid()}/children").read_text("ascii").split()
+    (pid,) = [pid for pid in ours if Path(f"/proc/{pid}/exe").readlink() == program]
+    return int(pid)
 
 
 class Chip:
@@ -286,6 +296,26 @@ class TestPosix:
         monkeypatch.delenv("J2A_KEPT")
         with j2a.connect(f"exec:{program}") as board:
             assert board.transducers["tuned"].topic == "first"
+
+    def test_a_file_that_takes_no_more_is_as_a_worn_memory(self, image, tmp_path, monkeypatch):
+        monkeypatch.setenv("J2A_KEPT", str(tmp_path / "kept"))
+        program = image("posix")
+        script = f"trap '' XFSZ; exec {shlex.quote(str(program))}"
+        with j2a.connect(f"exec:sh -c {shlex.quote(script)}") as board:
+            tuned = board.transducers["tuned"]
+            tuned.configure(period=0.5)
+            tuned.save()
+            pid = running(program)
+            no_byte, no_limit = (2, resource.RLIM_INFINITY), (resource.RLIM_INFINITY,) * 2
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, no_byte)
+            tuned.configure(period=0.25)
+            with pytest.raises(FunctionFailed):
+                tuned.save()
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, no_limit)
+            tuned.configure(period=0.125)
+            tuned.save()
+        with j2a.connect(f"exec:{program}") as board:
+            assert board.transducers["tuned"].period == 0.125
 
     def test_a_device_without_it_refuses(self, image):
         with (

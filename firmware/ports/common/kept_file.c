@@ -43,9 +43,8 @@ bool j2a_port_keep(uint16_t at, uint8_t byte) {
     open_once();
     if (kept[at] == byte)
         return true;
-    kept[at] = byte;
-    if (fd >= 0 && pwrite(fd, &byte, 1, at) != 1)
-        fail("writing the file of J2A_KEPT");
+    if (fd < 0 || pwrite(fd, &byte, 1, at) == 1)
+        kept[at] = byte; /* else as a worn cell: the core tries again for a while, and then says so */
     return false;
 }
 
