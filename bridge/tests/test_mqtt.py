@@ -309,6 +309,7 @@ def test_a_broker_that_dies_is_found_again(tmp_path, monkeypatch, is_quiet):
             async with bridging(config) as bridge:
                 runner = bridge.runners[0]
                 await until(lambda: "no broker answers" in runner.problem)
+                assert "Errno" not in runner.problem
                 for value in range(2):
                     broker = Broker(port, tmp_path)
                     try:

@@ -13,7 +13,13 @@ from j2a_spec.constants import MAX_PAYLOAD, RET_OK
 
 import j2a
 from j2a.cli._exit import FAILED, OK, UsageError, error_facts
-from j2a.cli._link import add_json_argument, add_link_arguments, connect, function_of
+from j2a.cli._link import (
+    add_json_argument,
+    add_link_arguments,
+    connect,
+    function_of,
+    telling_transducers,
+)
 from j2a.cli._output import note, show, show_bytes, show_json
 from j2a.cli._typed import VALUES_HELP, json_of, lines_of, takes_values, values_of
 from j2a.cli._values import PAYLOAD_HELP, Decoder, dump, payload_of, text_of
@@ -73,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     payload = None
     if is_raw:
         payload = _payload(args.payload)
-    with connect(args) as client:
+    with connect(args) as client, telling_transducers(client, args.function):
         described = None if is_raw else client.functions.get(args.function)
         if described is not None and takes_values(described, args.payload):
             return _call_with_values(described, args)

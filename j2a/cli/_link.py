@@ -6,10 +6,11 @@ In: parsed arguments. Out: a connected client.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import inspect
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -180,6 +181,28 @@ def connect_to(args: argparse.Namespace, url: str) -> j2a.Client:
         trace=TracePrinter(raw=args.verbose > 1) if args.verbose else None,
         **options,  # type: ignore[arg-type]  # the names of other parameters were refused
     )
+
+
+@contextlib.contextmanager
+def telling_transducers(client: j2a.Client, name: str) -> Iterator[None]:
+    """Where a name is that of a transducer and of no function, say what it is good for.
+
+    Args:
+        client: of the board.
+        name: what the command line calls a function.
+    """
+    try:
+        yield
+    except j2a.UnknownFunction:
+        found = client.transducers.get(name)
+        if found is None:
+            raise
+        if isinstance(found, j2a.Sensor):
+            hint = f"a sensor and no function: j2a watch {client.url} {name} prints its samples"
+        else:
+            hint = "an actuator and no function: j2a view has a slider for it, and Python "
+            hint += f"board.transducers[{name!r}].set()"
+        raise j2a.UnknownFunction(f"{name} is {hint}") from None
 
 
 def is_file(args: argparse.Namespace, name: str) -> bool:

@@ -14,6 +14,7 @@ import json
 import math
 import os
 import sys
+from collections.abc import Iterator
 from typing import TextIO
 
 from j2a_spec.printable import printable
@@ -22,29 +23,43 @@ from j2a.cli._exit import OK, OUTPUT_CLOSED, USAGE
 from j2a.cli._values import dump
 
 
+@contextlib.contextmanager
+def _naming_output() -> Iterator[None]:
+    """Have an error of writing name what could not be written."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = "standard output"
+        raise
+
+
 def show(line: str = "", *, flush: bool = False) -> None:
     """Print one line on standard output."""
-    print(printable(line), flush=flush)
+    with _naming_output():
+        print(printable(line), flush=flush)
 
 
 def show_text(text: str) -> None:
     """Print text of several lines on standard output as it stands, without a final line feed."""
-    sys.stdout.write(printable(text, "\n\t"))
-    sys.stdout.flush()
+    with _naming_output():
+        sys.stdout.write(printable(text, "\n\t"))
+        sys.stdout.flush()
 
 
 def show_bytes(data: bytes) -> None:
     """Put bytes on standard output as they are, or in hex where that is a terminal."""
-    if sys.stdout.isatty():
-        for line in dump(data):
-            print(line)
-    else:
-        sys.stdout.buffer.write(data)
+    with _naming_output():
+        if sys.stdout.isatty():
+            for line in dump(data):
+                print(line)
+        else:
+            sys.stdout.buffer.write(data)
 
 
 def show_json(value: object) -> None:
     """Print a value as JSON, on one line of standard output."""
-    print(json.dumps(_finite(value), allow_nan=False), flush=True)
+    with _naming_output():
+        print(json.dumps(_finite(value), allow_nan=False), flush=True)
 
 
 def note(line: str) -> None:

@@ -16,6 +16,7 @@ from j2a.cli._link import (
     add_progress_argument,
     connect,
     function_of,
+    telling_transducers,
     whole_number,
 )
 from j2a.cli._output import note, show_bytes
@@ -51,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
             f"cannot write to {args.output!r}: it is a folder, or its folder does not exist"
         )
     function = function_of(args.function)
-    with connect(args) as client:
+    with connect(args) as client, telling_transducers(client, args.function):
         start = time.monotonic()
         with Progress(f"read {args.function}", enabled=not args.no_progress) as progress:
             data = client.read_many(function, max_bytes=args.max_bytes, progress=progress)

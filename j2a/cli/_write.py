@@ -11,7 +11,13 @@ import time
 from j2a_spec.constants import MANY_DATA
 
 from j2a.cli._exit import FAILED, OK, CommandFailed
-from j2a.cli._link import add_link_arguments, add_progress_argument, connect, function_of
+from j2a.cli._link import (
+    add_link_arguments,
+    add_progress_argument,
+    connect,
+    function_of,
+    telling_transducers,
+)
 from j2a.cli._output import note
 from j2a.cli._progress import Progress, size_text
 from j2a.cli._values import PAYLOAD_HELP, payload_of
@@ -37,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     """Write, perhaps verify; returns the exit code."""
     data = payload_of(args.data)
     function = function_of(args.function)
-    with connect(args) as client:
+    with connect(args) as client, telling_transducers(client, args.function):
         start = time.monotonic()
         with Progress(f"write {args.function}", enabled=not args.no_progress) as progress:
             client.write_many(function, data, progress=progress)

@@ -118,7 +118,8 @@ class MqttSink(Sink):
         try:
             client.connect(self._host, self._port, keepalive=15)
         except (OSError, UnicodeError) as error:  # the latter for what is no name of a host
-            raise SinkError(f"no broker answers at {where}: {error}") from None
+            why = getattr(error, "strerror", None) or error
+            raise SinkError(f"no broker answers at {where}: {why}") from None
         client.loop_start()
         self._client = client
         if not self._connected.wait(_WAIT_S):

@@ -75,6 +75,16 @@ def test_an_error_keeps_its_exit_code_whatever_is_closed(words, way):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize("words", ["--version", "list --json"])
+@pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
+def test_output_that_cannot_be_written_is_named(words):
+    done = shell(f"PYTHONUNBUFFERED=1 j2a {words} > {FULL}")
+    assert (done.returncode, done.stderr) == (
+        2,
+        "j2a: standard output: No space left on device\n",
+    )
+
+
 def test_standard_input_that_is_closed():
     done = shell(f"j2a call {NOWHERE} f - --bytes <&-")
     assert (done.returncode, done.stderr) == (2, "j2a: -: standard input is closed\n")

@@ -46,6 +46,21 @@ def sample(*readings, **more):
     return j2a.Sample(readings=tuple(Reading(*one) for one in readings), **made)
 
 
+@pytest.mark.parametrize(("command", "data"), [("call", []), ("read", []), ("write", ["01"])])
+def test_a_transducer_is_no_function(run, board, command, data):
+    sensor = run(command, board, "quad", *data)
+    assert sensor.code == 2
+    assert sensor.err == (
+        f"j2a: quad is a sensor and no function: j2a watch {board} quad prints its samples\n"
+    )
+    actuator = run(command, board, "lamp", *data)
+    assert actuator.code == 2
+    assert "lamp is an actuator" in actuator.err
+    assert "board.transducers['lamp'].set()" in actuator.err
+    neither = run(command, board, "quadd", *data)
+    assert "no function 'quadd'" in neither.err
+
+
 def test_samples_are_lines(run, board):
     result = run("watch", board, "quad", "--count", "3")
     assert (result.code, result.err) == (0, "")
