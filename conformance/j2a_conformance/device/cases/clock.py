@@ -233,7 +233,11 @@ class Values(ClockCase):
             board.refuse(bytes(request), c.CLOCK_BAD_VALUE)
         for right in self._RIGHT:
             fields = dict(right)
-            board.step(fields.pop("time", UNIX), **fields)
+            base = fields.pop("time", UNIX)
+            board.step(base, **fields)
+            board.status()
+            board.step()
+            board.adjust(base=base, **fields)
             board.status()
         board.step()
 

@@ -53,7 +53,9 @@ class Steps(ClockCase):
 
 
 class Epochs(ClockCase):
-    """Steps the clock until each epoch has come."""
+    """Steps the clock until each epoch has come, by much, by little and by nothing, also while it
+    is led to a target.
+    """
 
     ID = "clock.epochs"
     EXPECTATION = "One more each time; 255 is followed by 1."
@@ -63,6 +65,11 @@ class Epochs(ClockCase):
         board.step()
         for number in range(257):
             board.adjust(base=UNIX + number, mode=c.CLOCK_STEP)
+        for size in (0, 1, 5, 11, 99, 250, 999, 1001, 30_000, 2 * S):
+            for off in (size, -size):
+                board.adjust(off, mode=c.CLOCK_STEP)
+                board.adjust(off)  # changes no epoch, however far it is
+                board.adjust(-off, mode=c.CLOCK_STEP)
 
 
 class Slews(ClockCase):

@@ -318,11 +318,12 @@ class StartBytes(Case):
 
 class FromHost(Case):
     """Sends frames that start with SOS: good ones for a2jEcho and for no function, with a wrong
-    checksum, with ESC 0xFF, and cut short.
+    checksum, with ESC 0xFF, and cut short; also behind each byte of a request, and behind ESC
+    there.
     """
 
     ID = "frame.sos-to-device"
-    EXPECTATION = "None of them is answered."
+    EXPECTATION = "None of them is answered, only the request that one interrupts."
     REQUIREMENTS = ("J2A-FRAME-008",)
     LEVEL = "frame"
 
@@ -340,6 +341,20 @@ class FromHost(Case):
         for stream in streams:
             peer.play(stream, alone=True)
         peer.play_all(self._of_lengths(peer, opcode))
+        peer.play_all(self._within(peer, streams[:-2]))
+
+    @staticmethod
+    def _within(peer: Peer, frames: list[bytes]) -> Iterator[tuple[bytes, list[Expected]]]:
+        """Yield frames with SOS behind each byte of a request, each before a good one."""
+        request = encode(Frame(c.SOF, 0xED, peer.echo_opcode, b"a\x12b"))
+        for cut in places(request):
+            for n, way in enumerate((b"", bytes((c.ESC,)))):
+                if way and request[cut - 1] == c.ESC:  # ESC ESC would be a value of its own
+                    continue
+                # The first one is taken each time, because it would be executed.
+                for frame in (frames[0], frames[(2 * cut + n) % len(frames)]):
+                    stream, good = request[:cut] + way + frame, peer.probe()
+                    yield stream + good.wire, [*answers(stream + b"\x12"), good.expected]
 
     @staticmethod
     def _of_lengths(peer: Peer, opcode: int) -> Iterator[tuple[bytes, list[Expected]]]:

@@ -1,12 +1,13 @@
 """Byte stuffing, both ways (J2A-STUFF)."""
 
 from collections.abc import Iterator
+from itertools import product
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum, encode, stuff
 
 from j2a_conformance.device._case import Case
-from j2a_conformance.device._peer import Expected, Peer, refusal
+from j2a_conformance.device._peer import Expected, Peer, Request, refusal
 from j2a_conformance.wire._dimensions import SPECIAL, damaged, misread, payload_of, spread
 
 from .sums import broken
@@ -50,7 +51,8 @@ class Replies(Case):
 
 class Fields(Case):
     """Puts each of SOF, SOS and ESC into seq, length, payload and checksum of requests and of
-    replies, and into the opcode of requests where no function is there.
+    replies, and into the opcode of requests where no function is there; and each two of them into
+    fields that are side by side, at many lengths.
     """
 
     ID = "stuff.fields"
@@ -71,6 +73,28 @@ class Fields(Case):
                 filler = checksum(request.seq, code, b"\0") ^ value
                 peer.ask(peer.echo(bytes((filler,)), seq=request.seq))
                 assert checksum(request.seq, code, bytes((filler,))) == value
+        peer.ask_all(self._side_by_side(peer))
+
+    @staticmethod
+    def _side_by_side(peer: Peer) -> Iterator[Request]:
+        """Yield requests with two such values in a row, in each two fields that meet."""
+        missing, pairs = peer.out_of_range(), list(product(STUFFED, repeat=2))
+        for first, second in pairs:
+            if second in missing:
+                yield peer.request(second, b"opcode", c.ERR_OPCODE, seq=first)
+            if first in missing:
+                yield peer.request(first, b"l" * second, c.ERR_OPCODE)
+            yield peer.echo(bytes((second,)) + b"l" * (first - 1))
+        # The last byte and the checksum: of the request, then of its reply.
+        ends = [(pair, code) for code in (peer.echo_opcode, c.ECHO) for pair in pairs]
+        few = range(2, 2 + len(ends))
+        for length in (*few, *(n for n in spread(step=19) if few.stop <= n <= peer.longest)):
+            (last, wanted), code = ends[length % len(ends)]
+            payload = bytearray(payload_of(length, length))
+            payload[-1], seq = last, peer.seq()
+            payload[0] ^= checksum(seq, code, bytes(payload)) ^ wanted
+            assert checksum(seq, code, bytes(payload)) == wanted
+            yield peer.echo(bytes(payload), seq)
 
 
 class ReplyCodes(Case):

@@ -15,6 +15,8 @@ from j2a_conformance.device._paused import REFUSALS, TRIES, passes_in_pieces, se
 from j2a_conformance.device._peer import Expected, Peer, Request, many_payload
 from j2a_conformance.wire._dimensions import lane_offset, lengths, payload_of, spread
 
+from .stuffing import escapable
+
 _ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
 _GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3
 _LONG_TRIES = 12
@@ -50,12 +52,16 @@ def awkward(peer: Peer) -> tuple[bytes, Expected]:
     return wire, Expected(0xED, c.ECHO, payload)
 
 
-def escaped(peer: Peer) -> tuple[bytes, Expected]:
-    """Return an echo in which each field is escaped, needed or not, and its due reply."""
-    seq, opcode, payload = 0x41, peer.echo_opcode, b"x"
+def escaped(peer: Peer, payload: bytes = b"x") -> tuple[bytes, Expected]:
+    """Return an echo in which each field is escaped, needed or not, and its due reply; only a
+    length of 0 cannot be.
+    """
+    opcode = peer.echo_opcode
+    seqs = range(0x41, 0x61)
+    seq = next(seq for seq in seqs if escapable(checksum(seq, opcode, payload)))
     body = (seq, opcode, len(payload), *payload, checksum(seq, opcode, payload))
-    wire = b"".join(bytes((c.ESC, value - 1)) for value in body)
-    assert not {value - 1 for value in body} & {c.SOF, c.SOS, -1, 0xFF}
+    assert all(map(escapable, filter(None, body)))
+    wire = b"".join(bytes((c.ESC, value - 1)) if value else b"\0" for value in body)
     return bytes((c.SOF,)) + wire, Expected(seq, c.ECHO, payload)
 
 
@@ -281,7 +287,9 @@ class SeqUnknown(Case):
 
 
 class RestSkipped(Case):
-    """Has the device give up a frame, and then sends the rest of it."""
+    """Has the device give up a frame, and then sends the rest of it: frames of 0 to 3 bytes of
+    payload, also such in which each byte is escaped, cut after each of their bytes.
+    """
 
     ID = "timing.rest-skipped"
     EXPECTATION = "Error 0xF2 once; the rest is skipped, and the next frame is answered."
@@ -289,9 +297,11 @@ class RestSkipped(Case):
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
-        wire, due = awkward(peer)
-        for cut in range(3, len(wire)):
-            peer.attempts(lambda n=cut: self._cut(peer, wire[:n], wire[n:], due.seq))  # type: ignore[misc]
+        payloads = (b"", b"x", b"\x12\x7d")
+        for wire, due in (awkward(peer), *(escaped(peer, payload) for payload in payloads)):
+            for cut in range(3, len(wire)):
+                part, rest = wire[:cut], wire[cut:]
+                peer.attempts(lambda a=part, b=rest, s=due.seq: self._cut(peer, a, b, s))  # type: ignore[misc]
 
     @staticmethod
     def _cut(peer: Peer, first: bytes, rest: bytes, seq: int) -> None:

@@ -538,9 +538,20 @@ class Refused(_TransducerCase):
                 if _SHORT < length < longest and self._in_turn(board, having, item, length) != one:
                     continue
                 if not self.fits(board, one, item, length):
-                    yield bytes((one.id, item)) + bytes(length), c.TRANSD_BAD_LENGTH
+                    value = self._of_length(one, length)
+                    yield bytes((one.id, item)) + value, c.TRANSD_BAD_LENGTH
             for value in self.wrong(board, one, item):
                 yield bytes((one.id, item)) + value, c.TRANSD_BAD_VALUE
+
+    @staticmethod
+    def _of_length(one: oracle.Transducer, length: int) -> bytes:
+        """Return a value that is in range of most items, or out of range, which is not judged then:
+        for SET in its values, in its first channel, or in both.
+        """
+        first, rest = ((0, 0), (one.channels, 0), (0, 0xFF), (0xFF, 0xFF))[
+            (length // 2 + one.id) % 4
+        ]
+        return bytes((first, *(rest,) * (length - 1)))
 
     @classmethod
     def _in_turn(
@@ -608,6 +619,13 @@ _WRONG_TOPICS: Final = (
     *(text + b"\x80" for text in (b"\xc0", b"\xc1", b"\xe0\x80", b"\xe0\x9f", b"\xed\xa0")),
     b"\xe0\x84\x80",
     *(b"a" * 20 + text for text in (b"\xc3", b"\xe2\x82", b"\xf0\x9f\xa4", b"\xc3a", b"\xe2\x82a")),
+    *(  # characters that end too early, at the end of topics of each length
+        (b"a" * length)[: -len(text)] + text
+        for n, text in enumerate(
+            (b"\xc3", b"\xe2", b"\xe2\x82", b"\xf0", b"\xf0\x9f", b"\xf0\x9f\xa4")
+        )
+        for length in (*range(4 + n, 32, 6), 32)
+    ),
     *(text + b"\x80\x80" for text in (b"\xf0\x80", b"\xf0\x8f", b"\xf4\x90", b"\xf5\x80")),
     b"\xff\x80\x80\x80",
     "\u00e4".encode() + b"\x84",
