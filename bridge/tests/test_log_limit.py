@@ -2,6 +2,7 @@
 
 import logging
 
+import pytest
 from j2a_bridge.log_limit import MOST, WITHIN_S, LogLimit
 
 
@@ -41,3 +42,20 @@ def test_what_comes_now_and_then_is_let_through():
         assert limit.filter(one)
         assert one.getMessage() == "a board is gone"
         now[0] += WITHIN_S / MOST
+
+
+@pytest.mark.parametrize("count", [MOST - 1, MOST, MOST + 1, MOST + 2, MOST + 3])
+def test_the_number_of_those_left_out_is_told_when_there_were_any(count):
+    now = [0.0]
+    limit = LogLimit(lambda: now[0])
+    for _ in range(2):  # the second time is counted from its own beginning
+        let_through = [limit.filter(record("%s is gone", "a board")) for _ in range(count)]
+        assert sum(let_through) == min(count, MOST)
+        now[0] += WITHIN_S
+        one = record("%s is back", "a board")
+        assert limit.filter(one)
+    late = record("%s is gone", "a board")
+    assert limit.filter(late)
+    left_out = count - MOST
+    more = f" ({left_out} more like it were left out)" if left_out > 0 else ""
+    assert late.getMessage() == f"a board is gone{more}"

@@ -158,12 +158,24 @@ def test_fold_is_the_xor_of_all_bytes(size):
 
 
 @pytest.mark.parametrize("escapes", range(20))
-def test_unstuffing_does_not_depend_on_how_many_escapes_there_are(escapes):
-    data = bytes((ESC, SOF, SOS)) * escapes + b"end"
+@pytest.mark.parametrize("behind", [b"", *(bytes((ESC, byte - 1)) for byte in (SOF, SOS, ESC))])
+def test_unstuffing_does_not_depend_on_how_many_escapes_there_are(escapes, behind):
+    # Behind an escaped ESC a plain byte may look like the second one of an escape.
+    data = (bytes((ESC, SOF, SOS)) + behind) * escapes + b"end"
     assert unstuff(stuff(data)) == data
     assert unstuff(stuff(data) + bytes((ESC,))) is None
     assert unstuff(bytes((ESC, ESC)) + stuff(data)) is None
     assert unstuff(stuff(data) + bytes((ESC, 0xFF)) + b"x") is None
+
+
+@pytest.mark.requirement("J2A-STUFF-003", "J2A-FRAME-006")
+@pytest.mark.parametrize("escapes", [1, 4, 8, 9, 10, 60])
+@pytest.mark.parametrize("byte", [SOF - 1, SOS - 1, ESC - 1, SOF, SOS])
+def test_a_frame_may_be_cut_within_each_of_its_escapes(escapes, byte):
+    frame = Frame(SOF, 1, 4, bytes((ESC, byte)) * escapes)
+    wire = encode(*frame)
+    for cut in range(len(wire) + 1):
+        assert read([wire[:cut], wire[cut:]]) == ([frame], 0, None), cut
 
 
 def test_an_open_frame_is_all_that_is_kept():

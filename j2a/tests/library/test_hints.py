@@ -82,6 +82,27 @@ def test_one_refusal_after_the_other_ends_each_call_at_once(host, code):
         assert host.reply(seq, code) == [call]
 
 
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_refusals_of_calls_that_were_on_the_wire_together_end_each_at_once(host, code, count):
+    calls = [host.call() for _ in range(count + 1)]
+    for seq, call in enumerate(calls[:count]):
+        assert host.reply(seq, code) == [call]
+        check(call, code)
+    assert host.reply(count) == calls[count:]
+
+
+@pytest.mark.parametrize("is_interrupted", [False, True])
+def test_a_hint_outlives_an_interruption(host, code, is_interrupted):
+    """A signal handler that raised says nothing of the calls of others."""
+    first, second, third = host.call(), host.call(), host.call()
+    assert host.reply(1, code) == []
+    if is_interrupted:
+        assert host.session.recover() == []
+    assert host.reply(2) == [second, third]
+    check(second, code)
+    assert not first.has_ended
+
+
 @pytest.mark.parametrize("seq", [0, 1, 2, 99])
 def test_a_refusal_frees_no_seq(code, seq):
     host = Host(window=2, rxbuf=4096)

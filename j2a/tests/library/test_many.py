@@ -9,13 +9,14 @@ from collections.abc import Callable
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from j2a_spec.constants import ECHO_MANY, FLAG_LAST
 
 import j2a
 from j2a.demo import STORE_BYTES, DemoDevice
 from j2a.events import Reply
 from j2a.protocol.announced import Announced
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES, DeviceInfo
-from j2a.protocol.transfer import Transfer, read_chunks
+from j2a.protocol.transfer import Transfer, echo_chunks, read_chunks, write_chunks
 
 from .support import OldDevice, linked, served
 
@@ -55,6 +56,12 @@ def answers(*replies: tuple[int, bytes]) -> Execute:
 
 def chunk(data=b"", *, code=0, is_last=False, offset=0):
     return 0, struct.pack("<BBL", code, is_last, offset) + data
+
+
+def echoed(request: bytes) -> bytes:
+    """What a2jMany answers when a2jEchoMany has taken a chunk."""
+    _, flags, offset = struct.unpack_from("<BBL", request)
+    return struct.pack("<BBL", ECHO_MANY, flags & FLAG_LAST, offset) + request[6:]
 
 
 @pytest.fixture
@@ -193,6 +200,29 @@ class TestWhatADeviceMayNotAnswer:
     def test_another_offset(self, peer):
         with pytest.raises(j2a.ProtocolError, match="offset 5 instead of 0"):
             self.read(peer, chunk(b"x", offset=5))
+
+    @pytest.mark.requirement("J2A-MANY-012")
+    @pytest.mark.parametrize("bit", range(32))
+    @pytest.mark.parametrize("at", [0, 249])
+    def test_an_offset_that_differs_in_one_bit(self, peer, at, bit):
+        wrong = at ^ 1 << bit
+        before = [chunk(bytes(249))] if at else []
+        with pytest.raises(j2a.ProtocolError, match=f"offset {wrong} instead of {at}"):
+            self.read(peer, *before, chunk(b"x", offset=wrong, is_last=True))
+        with pytest.raises(j2a.ProtocolError, match=f"offset {wrong} instead of {at}"):
+            steps = write_chunks("store", 6, bytes(at + 1), chunk_size=249)
+            drive(answers(*before, chunk(offset=wrong)), steps)
+
+    @pytest.mark.parametrize("sizes", [(0,), (5,), (5, 0), (249, 0), (3, 4, 0), (3, 4)])
+    def test_each_chunk_of_a_read_is_told_of_an_empty_one_too(self, peer, sizes):
+        ends = [sum(sizes[: at + 1]) for at in range(len(sizes))]
+        replies = [
+            chunk(bytes(size), offset=end - size, is_last=at == len(sizes) - 1)
+            for at, (size, end) in enumerate(zip(sizes, ends, strict=True))
+        ]
+        told = []
+        drive(answers(*replies), peer.read("store", 1000, lambda *at: told.append(at)))
+        assert told == [*((end, None) for end in ends[:-1]), (ends[-1], ends[-1])]
 
     @pytest.mark.requirement("J2A-MANY-012")
     def test_an_empty_chunk_that_is_not_the_last(self, peer):
@@ -493,6 +523,22 @@ class TestWindow:
             return
         with linked(DemoDevice(), window=window) as client:
             assert client.echo_many(self.DATA) == self.DATA
+
+    @pytest.mark.parametrize("outcome", list(j2a.Outcome))
+    @pytest.mark.parametrize(
+        ("window", "group", "has_begun"), [(1, 0, False), (1, 1, True), (2, 0, True), (2, 1, True)]
+    )
+    def test_what_was_not_sent_behind_other_chunks_may_have_been_executed_in_part(
+        self, window, group, has_begun, outcome
+    ):
+        steps = echo_chunks("echo", 6, self.DATA, chunk_size=249, window=window)
+        asked = next(steps)
+        for _ in range(group):
+            asked = steps.send([Reply(0, echoed(request.payload)) for request in asked])
+        with pytest.raises(j2a.LinkLost) as caught:
+            steps.throw(j2a.LinkLost("the cable", outcome=outcome))
+        is_changed = has_begun and outcome is j2a.Outcome.NOT_SENT
+        assert caught.value.outcome is (j2a.Outcome.MAYBE_EXECUTED if is_changed else outcome)
 
     def test_the_first_error_ends_it_once_all_have_ended(self):
         func = know(DemoDevice()).functions["a2jEchoMany"]

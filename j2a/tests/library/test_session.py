@@ -271,6 +271,20 @@ class TestWindow:
         assert len(host.sent) == 2
 
     @pytest.mark.requirement("J2A-LIMIT-003")
+    @pytest.mark.parametrize("more", [-1, 0, 1])
+    @pytest.mark.parametrize("calls", range(2, 9))
+    def test_the_last_byte_of_what_the_device_can_hold_is_used_and_none_behind_it(
+        self, calls, more
+    ):
+        host = Host(window=8, rxbuf=5 * calls + more)
+        for _ in range(9):
+            host.call()  # 5 bytes on the wire
+        on_wire = calls - (more < 0)
+        assert len(host.sent) == on_wire
+        host.reply(0)
+        assert len(host.sent) == on_wire + 1, "its bytes are those of the one that was answered"
+
+    @pytest.mark.requirement("J2A-LIMIT-003")
     def test_without_j2a_rxbuf_one_call_is_on_the_wire(self):
         host = Host(window=8)
         host.call()

@@ -114,6 +114,25 @@ def test_one_barrier_is_under_way_and_is_replaced_after_a_second():
     assert not host.call(7).has_ended
 
 
+@pytest.mark.requirement("J2A-SEQ-007")
+@pytest.mark.parametrize(
+    ("count", "back"),
+    [(2, 1), (2, 2), (256, 256), (257, 1), (257, 2), (257, 256), (257, 257), (300, 2), (300, 255)],
+)
+def test_of_many_unanswered_barriers_the_newest_256_free_all(count, back):
+    host = Stalled()
+    for _ in range(count):
+        host.fail()
+        host.wait(1)
+    barriers = host.barriers()
+    assert len({barrier.payload for barrier in barriers}) == count
+    host.reply(barriers[-back].seq, ECHO, barriers[-back].payload)
+    if back > 256:
+        host.fail()
+    else:
+        assert not host.call(7).has_ended
+
+
 @pytest.mark.requirement("J2A-SEQ-007", "J2A-SEQ-005")
 @pytest.mark.parametrize(
     ("code", "payload"),
