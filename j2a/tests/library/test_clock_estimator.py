@@ -205,3 +205,33 @@ def test_an_exchange_that_comes_late_takes_its_place(late: int) -> None:
     assert other.estimate.counter_us == ordered.estimate.counter_us
     assert other.estimate.host_us == pytest.approx(ordered.estimate.host_us, abs=0.01)
     assert other.estimate.rate == pytest.approx(ordered.estimate.rate, abs=1e-9)
+
+
+@pytest.mark.parametrize("window", [2, 3, 8])
+@pytest.mark.parametrize("behind", [1, 2, 7])
+def test_one_that_comes_late_into_a_full_window_takes_its_place_and_that_of_the_oldest(
+    window: int, behind: int
+) -> None:
+    exchanges = [one for one, _ in sim.exchanges(Board(random.Random(1), sim.serial, ppm=80), 20)]
+    at = len(exchanges) - 1 - min(behind, window - 1)
+    ordered, other = Estimator(window=window), Estimator(window=window)
+    for one in exchanges:
+        ordered.add(one)
+    for one in [*exchanges[:at], *exchanges[at + 1 :], exchanges[at]]:
+        assert other.add(one) is Verdict.TAKEN
+    assert list(other._exchanges) == exchanges[-window:]
+    assert other.newest == exchanges[-1]
+    assert other.estimate is not None and ordered.estimate is not None
+    assert other.estimate.host_us == pytest.approx(ordered.estimate.host_us, abs=0.01)
+
+
+def test_what_was_is_as_uncertain_as_what_will_be() -> None:
+    estimator = Estimator()
+    readings(Board(random.Random(8), sim.serial), estimator, 30)
+    estimate = estimator.estimate
+    assert estimate is not None
+    bound = estimate.error_us
+    for passed in (1.0, 1e6, 1e9):
+        before, bound = bound, estimate.uncertainty_us(estimate.counter_us + passed)
+        assert bound > before
+        assert estimate.uncertainty_us(estimate.counter_us - passed) == pytest.approx(bound)
