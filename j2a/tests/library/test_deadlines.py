@@ -2,6 +2,7 @@
 
 import heapq
 import math
+import random
 
 import pytest
 
@@ -34,6 +35,24 @@ def test_calls_that_have_ended_are_forgotten_and_no_others(monkeypatch, live):
     assert deadlines.pop_late(1000.0) == waiting[:1]
     assert deadlines.pop_late(math.inf) == waiting[1:]
     assert deadlines.earliest() is None
+
+
+@pytest.mark.parametrize("live", [2, 7, 40])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_earliest_comes_first_when_ended_ones_were_forgotten(seed, live):
+    draw, deadlines, waiting = random.Random(seed), Deadlines(), []
+    while True:
+        if len(waiting) == live:
+            waiting.pop(draw.randrange(live)).has_ended = True
+        waiting.append(call(draw.random()))
+        before = len(deadlines._heap)
+        deadlines.add(waiting[-1], len(waiting))
+        if 1 < len(deadlines._heap) < before:
+            break
+    assert len(deadlines._heap) == live
+    for one in sorted(waiting, key=lambda one: one.deadline):
+        assert deadlines.earliest() == one.deadline
+        assert deadlines.pop_late(one.deadline) == [one]
 
 
 def test_a_call_without_a_limit_has_none():

@@ -101,6 +101,16 @@ def test_names_follow_the_interface(board):
         stream.wait(0.05)
 
 
+def test_who_asks_behind_the_end_is_told_the_first_reason():
+    handlers, told = Handlers(), []
+    handlers.at_end(told.append)
+    first, second = j2a.LinkLost("the cable"), j2a.LinkClosed("closed")
+    handlers.finish(first)
+    handlers.finish(second)
+    handlers.at_end(told.append)
+    assert told == [first, first]
+
+
 class TestBlocking:
     def test_iteration(self, board):
         stream = board.sifs("counter")

@@ -1,5 +1,6 @@
 """The transducers of a Python device without a link: counts, times and values at their limits."""
 
+import math
 import struct
 
 import pytest
@@ -8,6 +9,7 @@ from j2a_spec import constants as c
 from j2a.protocol.transducers import TransducerServer
 from j2a.types.transds_file import read_transds
 
+NAN, INF = math.nan, math.inf
 LOG = "SENSOR(log, 0, log, X, 2, u8, none, (queue, {queue}), (period, {period}))"
 SERVO = "ACTUATOR(servo, 1, servo, X, 3, i8, none, (range, -100, 100))"
 
@@ -70,6 +72,32 @@ def test_lateness_of_less_than_a_period_does_not_delay_the_next_sample_sif(queue
     if due - 1 > begun:
         assert not is_sent(due - 1)
     assert is_sent(due)
+
+
+@pytest.mark.requirement("J2A-TRANS-013")
+@pytest.mark.parametrize("queue", ["", ", (queue, 9)"])
+@pytest.mark.parametrize(
+    ("kind", "na", "threshold", "values", "taken"),
+    [
+        ("f32", "nan", 0, [NAN, NAN, 1, 1, NAN, NAN], [NAN, NAN, 1, 1, NAN, NAN]),
+        ("f32", "nan", 2, [NAN, NAN, 1, 2, NAN, NAN, 3], [NAN, 1, NAN, 3]),
+        ("f64", "nan", 2, [5, 6, NAN, 6, 5, 3], [5, NAN, 6, 3]),
+        ("f32", "-1", 2, [-1, -1, 0, -1, -1], [-1, 0, -1]),
+        ("f32", "none", 0, [INF, INF, -INF, 1], [INF, INF, -INF, 1]),
+        ("f32", "none", 2, [INF, INF, -INF, -INF, 1, INF], [INF, -INF, 1, INF]),
+        ("i8", "none", 127, [-128, -2, -1, 127, 1, 0], [-128, -1, 127, 0]),
+        ("u8", "none", 200, [255, 56, 55, 254, 255], [255, 55, 255]),
+        ("i64", "none", 2**63 - 1, [-(2**63), -2, -1, 2**63 - 1], [-(2**63), -1, 2**63 - 1]),
+        ("u64", "none", 1, [2**64 - 1, 2**64 - 1, 2**64 - 2, 0], [2**64 - 1, 2**64 - 2, 0]),
+    ],
+)
+def test_the_values_that_a_threshold_leaves(queue, kind, na, threshold, values, taken):
+    server = make(f"SENSOR(one, 0, one, X, 1, {kind}, {na}, (threshold, {threshold}){queue})")
+    one, found = server.sensor("one"), []
+    for value in values:
+        one.sense(0, [value], 5, is_raw=True)
+        found += [payload[-one.transducer.type.size :] for payload in sample_sifs(server, 9)]
+    assert found == [one.codec.pack_raw(value) for value in taken]
 
 
 @pytest.mark.requirement("J2A-CLOCK-020")

@@ -416,6 +416,8 @@ class TestSifs:
         ("arguments", "message"),
         [
             (("counter", 1), "another SIF has this name or opcode"),
+            (("counter", 1, "(a u8)"), "another SIF has this name or opcode"),
+            (("counter", 1, Point), "another SIF has this name or opcode"),
             (("other", 0x20), "another SIF has this name or opcode"),
             (("two words", 1), "cannot be sent"),
             (("other", 256), "an opcode is"),
@@ -426,9 +428,14 @@ class TestSifs:
     def test_what_cannot_be_described_is_refused(self, arguments, message):
         device = DemoDevice()
         before = content(device, GET_INTERFACE)
+        sent = []
+        device.send_sif = lambda *sif: sent.append(sif) or 1
+        device.send("counter", 5)
         with pytest.raises(j2a.LocalError, match=message):
             device.describe_sif(*arguments)
         assert content(device, GET_INTERFACE) == before
+        device.send("counter", 5)
+        assert sent[1:] == sent[:1], "it is packed as before"
 
     @pytest.mark.parametrize(
         ("values", "named"),

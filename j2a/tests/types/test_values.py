@@ -1,5 +1,6 @@
 """Values and payloads: the library packs what the oracle packs, and takes back what it gave."""
 
+import keyword
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
@@ -96,6 +97,20 @@ def test_python_reserves_some_names():
 def test_names_stay_different():
     names = python_names(["_a", "na", "class", "class_", "n_a"])
     assert names == ["n_a", "na", "class_", "class__", "n_a_"]
+
+
+@given(
+    st.lists(
+        st.sampled_from(
+            ["_a", "n_a", "n_a_", "n_a__", "class", "class_", "class__", "mro", "mro_"]
+        ),
+        unique=True,
+    )
+)
+def test_however_many_names_are_taken_each_stays_different(names):
+    own = python_names(names)
+    assert len(set(own)) == len(own) == len(names)
+    assert all(one.isidentifier() and not keyword.iskeyword(one) for one in own)
 
 
 @dataclass
