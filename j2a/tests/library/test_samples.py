@@ -85,3 +85,40 @@ def test_nobody_sees_descriptors_without_what_follows_from_them(monkeypatch):
     for thread in threads:
         thread.join(PATIENCE_S)
     assert found == [["temp"], ["temp"]]
+
+
+@pytest.mark.requirement("J2A-TRANS-026")
+@pytest.mark.parametrize(
+    ("times", "then", "lost"),
+    [
+        ((5,), (4,), 2),
+        ((5,), (5,), 65_534),
+        ((4, 5), (4,), 2),  # the last one that came counts
+        ((5, 4), (4,), 65_534),
+        ((5, 0), (4,), 2),  # of which 0 is none
+        ((0, 5), (4,), 2),
+        ((0, 0), (4,), 65_534),
+        ((5,), (0, 4), 2),  # the first one in the SIF
+        ((5,), (0, 6), 65_534),
+        ((5,), (0, 0), 65_534),
+        ((5,), (6, 4), 65_534),
+        ((5,), (4, 6), 2),
+    ],
+)
+@pytest.mark.parametrize("is_without_times_between", [False, True])
+def test_losses_behind_a_reset_are_judged_by_the_first_time_and_the_last(
+    times, then, lost, is_without_times_between
+):
+    world = World()
+    world.device.descriptors = parse_descriptors("\nsensor log 9 2 u8\n queue 9\n")
+
+    def take(told, times):
+        entries = b"".join(struct.pack("<BQB", 0, time_us, 7) for time_us in times)
+        world.source.take(Sif(9, struct.pack("<H", told) + entries, 0, 0, epoch=0))
+        return world.source.current.lost
+
+    assert take(3, times) == 0
+    assert take(4, times) == 1
+    if is_without_times_between:
+        assert take(4, (0,)) == 0
+    assert take(2, then) == lost
