@@ -111,6 +111,15 @@ def test_a_burst_is_nine_to_sixteen_bits_in_a_row() -> None:
     assert sizes == set(range(9, 17))
 
 
+@pytest.mark.parametrize("size", [1, 2, 7, 1000])
+@pytest.mark.parametrize("kind", ["burst", "truncate"])
+def test_what_harms_bytes_in_a_row_goes_on_in_the_next_chunk(kind: str, size: int) -> None:
+    whole, cut = (FaultInjector(Rates(**{kind: 0.005}), "x") for _ in range(2))
+    chunks = [DATA[at : at + size] for at in range(0, len(DATA), size)]
+    assert joined(cut, chunks) == joined(whole, [DATA])
+    assert cut.counters == whole.counters
+
+
 def test_a_swap_exchanges_a_byte_and_the_next() -> None:
     injector = FaultInjector(Rates(swap=0.01), "x")
     out = joined(injector, [DATA])

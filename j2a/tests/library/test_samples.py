@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 import j2a.io.samples
+from j2a.errors import WrongArgument
 from j2a.events import Sif
 from j2a.io.samples import SampleSource
 from j2a.types.coding import PythonTypes
@@ -122,3 +123,14 @@ def test_losses_behind_a_reset_are_judged_by_the_first_time_and_the_last(
     if is_without_times_between:
         assert take(4, (0,)) == 0
     assert take(2, then) == lost
+
+
+@pytest.mark.parametrize("size", [243, 244, 245, 246, 247])
+def test_an_order_fits_into_a_frame_to_its_last_byte(size):
+    [one] = parse_descriptors(f"\nactuator long 9 1 u8[{size}]\n").transducers
+    codec = SampleCodec(one, PythonTypes())
+    if size <= 255 - 2 - 9:
+        assert len(codec.pack_set([[0] * size], 0, 5)) == 9 + size
+    else:
+        with pytest.raises(WrongArgument, match="1 values do not fit"):
+            codec.pack_set([[0] * size], 0, 5)
