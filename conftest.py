@@ -237,10 +237,17 @@ def need() -> Callable[[str], None]:
 
 @pytest.fixture(scope="session")
 def make(need: Callable[[str], None]) -> Make:
-    """Run make in firmware/ with targets and variables; returns what it printed and its status."""
+    """Run make in firmware/ with targets and variables; returns what it printed and its status.
 
-    def run(*targets: str, **variables: object) -> subprocess.CompletedProcess[str]:
+    With `core_as_one` as `build_firmware` does it, where no object of the core is a goal.
+    """
+
+    def run(
+        *targets: str, core_as_one: bool = False, **variables: object
+    ) -> subprocess.CompletedProcess[str]:
         need("make")
+        if core_as_one:
+            variables = {**_core_as_one(Path(str(variables["OUT"]))), **variables}
         settings = [f"{name}={value}" for name, value in variables.items()]
         return subprocess.run(
             ["make", "-s", "-C", ROOT / "firmware", *targets, *settings],
@@ -259,6 +266,7 @@ def _core_as_one(folder: Path) -> dict[str, str]:
     core = ROOT / "firmware/core"
     sources = {*core.glob("*.c"), *core.glob("ext/*.c")} - {*core.glob("*_table.c")}
     one = folder / "j2a_core.c"
+    folder.mkdir(parents=True, exist_ok=True)
     if not one.exists():  # make goes by its time
         write_one_file(one, sources)
     return {"SOURCES": WITH_ONE_CORE.format(one), "VPATH": str(folder)}
@@ -271,9 +279,9 @@ def build_firmware(
     """Build an app, each set of variables once and in a folder of its own; returns the program.
 
     The workers of pytest-xdist share the folders: what one has built, make only looks at again.
-    With `core_as_one` the core is compiled as one file, as that of the amalgamation: for tests of
-    what a device does. By itself it is for this machine, where no compiler is named. File by file
-    it is compiled for the suite, and where warnings, sizes or cycles are looked at.
+    By itself the core is compiled as one file, as that of the amalgamation: for tests of what a
+    device does. With `core_as_one=False` it is compiled file by file, as it is for the suite: where
+    warnings, sizes or cycles are looked at.
     """
     base = tmp_path_factory.getbasetemp()
     shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "firmware"
@@ -282,24 +290,26 @@ def build_firmware(
     def run(
         app: str = "demo",
         port: str = "posix",
-        core_as_one: bool | None = None,
+        core_as_one: bool = True,
         **variables: object,
     ) -> Path:
         need(str(variables.get("CC", COMPILERS.get(port, "cc"))))
         # What it does is asked; test_compilers.py has each level. For each Zig makes a C library.
-        is_ours = port == "posix" and "CC" not in variables
-        if is_ours:
+        if port == "posix" and "CC" not in variables:
             variables = {"CFLAGS": "-O0", **variables}
-        is_one = is_ours if core_as_one is None else core_as_one
-        key = (app, port, is_one, *sorted((name, str(value)) for name, value in variables.items()))
+        key = (
+            app,
+            port,
+            core_as_one,
+            *sorted((name, str(value)) for name, value in variables.items()),
+        )
         if key not in done:
             out = shared / f"{port}-{app}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}"
             out.mkdir(parents=True, exist_ok=True)
             lock = out.with_suffix(".lock")
             lock.touch()
             with alone_with(lock):
-                core = _core_as_one(out) if is_one else {}
-                result = make(APP=app, PORT=port, OUT=out, **core, **variables)
+                result = make(core_as_one=core_as_one, APP=app, PORT=port, OUT=out, **variables)
             assert result.returncode == 0, result.stderr
             done[key] = out / (f"{app}.elf" if port in COMPILERS else app)
         return done[key]

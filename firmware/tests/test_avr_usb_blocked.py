@@ -26,7 +26,7 @@ REPLIES = [
 
 @pytest.fixture(params=CHIPS)
 def quiet(request, build):
-    elf = build("usb_blocked", "avr-usb", core_as_one=True, APP_DIR=str(APP), MCU=request.param)
+    elf = build("usb_blocked", "avr-usb", APP_DIR=str(APP), MCU=request.param)
     with AvrSim(elf, request.param) as sim:
         sim.usb.enumerate()
         yield sim

@@ -46,6 +46,7 @@ def sizes(elf: Path) -> tuple[int, int]:
     return text + data, data + bss
 
 
+@pytest.mark.sampled(2)  # of each family one, those with the least memory among them
 @pytest.mark.parametrize("mcu", CHIPS)
 def test_every_chip(build, mcu, tmp_path):
     flash, ram = memory(mcu, tmp_path)
@@ -98,7 +99,7 @@ def test_options_answer(build, mcu, settings):
 
     What differs between the chips is what makes the clock of USB; most tests below are for both.
     """
-    elf = build("builtins", "avr-usb", core_as_one=True, MCU=mcu, **settings)
+    elf = build("builtins", "avr-usb", MCU=mcu, **settings)
     options = settings.get("OPTIONS", "")
     opcode = ECHO - 2 if "MANY=0" in options else ECHO
     with AvrSim(elf, mcu, int(settings.get("FREQ", 16_000_000))) as sim:
@@ -123,7 +124,7 @@ def test_what_the_board_says_of_itself(build):
         "USB_NAME": "My board-2",
         "SERIAL": "PB1",
     }
-    elf = build("builtins", "avr-usb", core_as_one=True, **names)
+    elf = build("builtins", "avr-usb", **names)
     with AvrSim(elf, "atmega32u4") as sim:
         found = sim.usb.enumerate()
         device = usb.device.parse(found.device)
@@ -148,7 +149,7 @@ def test_without_them_it_is_the_chip(build, mcu):
 
 def test_the_longest_strings(build):
     longest = "x" * 126
-    elf = build("builtins", "avr-usb", core_as_one=True, USB_NAME=longest, SERIAL=longest)
+    elf = build("builtins", "avr-usb", USB_NAME=longest, SERIAL=longest)
     with AvrSim(elf, "atmega32u4") as sim:
         assert list(sim.usb.enumerate().strings.values()).count(longest) == 2
 
@@ -156,7 +157,7 @@ def test_the_longest_strings(build):
 @pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
 def test_sleeps_while_suspended(build, mcu):
     """With J2A_USB_SLEEP the chip is in power-down, the interrupt of its timer off."""
-    elf = build("builtins", "avr-usb", core_as_one=True, MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
+    elf = build("builtins", "avr-usb", MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
 
     def asleep():
         return bool(sim.read_memory(SMCR, 1)[0] & SLEEP_ENABLED)
@@ -184,7 +185,7 @@ def test_sleeps_while_suspended(build, mcu):
 @pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
 def test_sleeps_while_it_waits(build, mcu):
     """It also sleeps where it has something to send, and sends all of it when the bus is back."""
-    elf = build("builtins", "avr-usb", core_as_one=True, MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
+    elf = build("builtins", "avr-usb", MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
     payload = bytes(range(255))
     with AvrSim(elf, mcu) as sim:
         sim.usb.enumerate()
@@ -211,7 +212,8 @@ CLOCK = "-DJ2A_WITH_SYNC=1"
 
 def test_a_clock_that_does_not_fit_is_refused(avr, make, build, tmp_path):
     """SyncUSB packets would let the stack overwrite variables of the chip with 1 KB."""
-    result = make(APP="demo", PORT="avr-usb", MCU="atmega32u2", OPTIONS=CLOCK, OUT=str(tmp_path))
+    settings = {"PORT": "avr-usb", "MCU": "atmega32u2", "OPTIONS": CLOCK}
+    result = make(core_as_one=True, APP="demo", OUT=str(tmp_path), **settings)
     assert result.returncode != 0
     assert NO_ROOM in result.stderr
     build("demo", "avr-usb", MCU="atmega32u4", OPTIONS=CLOCK)
@@ -233,7 +235,9 @@ def test_the_reserve_for_the_stack_is_exact(build, make, tmp_path, port):
 
     def linked(stack):
         (out / "builtins.elf").unlink(missing_ok=True)
-        return make(*objects, APP="builtins", PORT=port, MCU=mcu, OUT=out, STACK=stack)
+        return make(
+            *objects, core_as_one=True, APP="builtins", PORT=port, MCU=mcu, OUT=out, STACK=stack
+        )
 
     result = linked(left)
     assert result.returncode == 0, result.stderr

@@ -38,7 +38,7 @@ def longest(build):
     """Cycles, by chip and vector."""
     found = dict.fromkeys((mcu, vector) for mcu in VECTORS for vector in VECTORS[mcu])
     for mcu, vectors in VECTORS.items():
-        elf = build(port="avr-usb", MCU=mcu)
+        elf = build(port="avr-usb", core_as_one=False, MCU=mcu)
         for name in ASKED:
             with Device(elf, mcu) as device:
                 BY_NAME[name].run(device)

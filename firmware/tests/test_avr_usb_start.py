@@ -31,9 +31,7 @@ def mcu(request):
 
 @pytest.fixture(params=["-Os", "-O0"])
 def sim(request, build, mcu):
-    elf = build(
-        "usb_start", "avr-usb", core_as_one=True, APP_DIR=str(APP), MCU=mcu, CFLAGS=request.param
-    )
+    elf = build("usb_start", "avr-usb", APP_DIR=str(APP), MCU=mcu, CFLAGS=request.param)
     with AvrSim(elf, mcu) as sim:
         sim.usb.enumerate()
         yield sim

@@ -130,7 +130,7 @@ def test_needs_what_it_tells_and_how(firmware, missing):
 ])  # fmt: skip
 def test_a_chip_tells_why_it_was_reset(build, port, mcu, link):
     """The one with USB waits until the host has configured it."""
-    elf = build("demo", port, core_as_one=True, MCU=mcu, OPTIONS=ON)
+    elf = build("demo", port, MCU=mcu, OPTIONS=ON)
     frames = []
 
     def trace(direction, item):

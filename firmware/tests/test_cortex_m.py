@@ -48,7 +48,7 @@ def tools(need):
 def image(tools, build_firmware):
     """Build an app for the port; returns the ELF file."""
 
-    return partial(build_firmware, port="cortex-m", core_as_one=True)
+    return partial(build_firmware, port="cortex-m")
 
 
 @pytest.fixture(scope="module")

@@ -108,6 +108,7 @@ def test_table_with_both_kinds(build, ask, error, cc):
 @pytest.mark.parametrize("switch", ["MAPPING", "PROPERTIES", "SIF", "DEBUG"])
 def test_options(make, tmp_path, switch):
     result = make(
+        core_as_one=True,
         APP="listings",
         APP_DIR=str(LISTINGS),
         OUT=str(tmp_path),

@@ -54,7 +54,7 @@ def built(app, make, folder):
 
     def build(**lists):
         sources = app(**lists)
-        result = make(PORT="posix", APP_DIR=sources, OUT=folder / "out", CFLAGS="-O0")
+        result = make(core_as_one=True, APP_DIR=sources, OUT=folder / "out", CFLAGS="-O0")
         assert result.returncode == 0, result.stderr
         program = folder / "out/demo"
         changed = max(path.stat().st_mtime_ns for path in sources.iterdir())

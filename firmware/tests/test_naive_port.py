@@ -36,7 +36,8 @@ def naive(need, make, tmp_path):
     port = tmp_path / "naive"
     shutil.copytree(FIRMWARE / "ports/template", port)
     shutil.copytree(FIRMWARE / "tests/naive", port, dirs_exist_ok=True)
-    result = make(PORT_DIR=port, APP="demo", OUT=tmp_path, OPTIONS="-DJ2A_WITH_SELFTEST=1")
+    variables = {"PORT_DIR": port, "OUT": tmp_path, "OPTIONS": "-DJ2A_WITH_SELFTEST=1"}
+    result = make(core_as_one=True, APP="demo", **variables)
     assert result.returncode == 0, result.stderr
     return tmp_path / "demo.elf"
 

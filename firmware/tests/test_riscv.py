@@ -36,7 +36,7 @@ def image(need, build_firmware):
     need("riscv64-unknown-elf-gcc")
     need("qemu-system-riscv32")
 
-    return partial(build_firmware, port="riscv", core_as_one=True)
+    return partial(build_firmware, port="riscv")
 
 
 @pytest.fixture(scope="module")

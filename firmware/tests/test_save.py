@@ -48,9 +48,7 @@ def image(build_firmware, tmp_path_factory):
         (folder / "functions.def").write_text("")
         (folder / "properties.def").write_text('J2A_PROPERTY("name", "save")\n')
         (folder / "app.c").write_text(CODE)
-        return build_firmware(
-            "app", port, core_as_one=True, APP_DIR=folder, OPTIONS=options, **variables
-        )
+        return build_firmware("app", port, APP_DIR=folder, OPTIONS=options, **variables)
 
     return build
 

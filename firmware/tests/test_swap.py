@@ -70,8 +70,9 @@ def swap(make, need, tmp_path_factory):
         assert text.count(line) == 1
         assert "\n" not in line + other
         (copy / "transds.def").write_text(text.replace(line, other), "utf-8")
-        done = make(PORT="avr-serial", APP=app, APP_DIR=copy, OUT=folder / "out")
-        return done, folder / "out" / f"{app}.elf"
+        out = folder / "out"
+        done = make(core_as_one=True, PORT="avr-serial", APP=app, APP_DIR=copy, OUT=out)
+        return done, out / f"{app}.elf"
 
     return build
 
@@ -162,7 +163,7 @@ def test_infrared_behind_the_analog_inputs(build, tmp_path):
     lines.remove(infrared)
     lines.insert(lines.index("#endif\n"), infrared)
     (app / "transds.def").write_text("".join(lines), "utf-8")
-    elf = build("sensors", "avr-serial", core_as_one=True, APP_DIR=app, BAUD="9600")
+    elf = build("sensors", "avr-serial", APP_DIR=app, BAUD="9600")
     with AvrSim(elf) as sim, j2a.Client(SimLink(sim), timeout=5.0) as board:
         inputs, infrared = board.transducers["adc"], board.transducers["dist_ir"]
         inputs.period = 0

@@ -31,7 +31,7 @@ def on_each_chip():
 
 @pytest.fixture(scope="module", params=CHIPS)
 def chip(request, build):
-    return build(port="avr-usb", core_as_one=True, MCU=request.param, USB_NAME=NAME), request.param
+    return build(port="avr-usb", MCU=request.param, USB_NAME=NAME), request.param
 
 
 @pytest.mark.requirement("USB-006")
@@ -52,9 +52,7 @@ def test_chapter_9(chip, check):
 )
 def test_suspend_asleep(build, mcu, check):
     """The same with firmware that sleeps while the bus is suspended, its clocks off."""
-    elf = build(
-        port="avr-usb", core_as_one=True, MCU=mcu, USB_NAME=NAME, OPTIONS="-DJ2A_USB_SLEEP=1"
-    )
+    elf = build(port="avr-usb", MCU=mcu, USB_NAME=NAME, OPTIONS="-DJ2A_USB_SLEEP=1")
     with Device(elf, mcu) as device:
         check.run(device)
 
@@ -85,7 +83,7 @@ def test_however_the_chip_counts_bytes(chip, counting, check):
 def test_flags_of_suspend_that_the_firmware_clears(build, mcu, sleep, check):
     """Whether SUSPI and WAKEUPI clear each other, the firmware bears both."""
     options = {"OPTIONS": "-DJ2A_USB_SLEEP=1"} if sleep else {}  # by itself it does not
-    elf = build(port="avr-usb", core_as_one=True, MCU=mcu, USB_NAME=NAME, **options)
+    elf = build(port="avr-usb", MCU=mcu, USB_NAME=NAME, **options)
     with Device(elf, mcu) as device:
         device.bus.suspend_flags = "independent"
         check.run(device)

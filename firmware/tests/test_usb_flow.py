@@ -153,7 +153,7 @@ def test_the_link_begins_anew_at_any_moment(board, event):
 
 @pytest.fixture(params=CHIPS)
 def sync_board(request, build):
-    elf = build("usb_sync", "avr-usb", core_as_one=True, APP_DIR=str(SYNC_APP), MCU=request.param)
+    elf = build("usb_sync", "avr-usb", APP_DIR=str(SYNC_APP), MCU=request.param)
     with Device(elf, request.param) as device:
         device.to_configured()
         yield device

@@ -375,7 +375,8 @@ def test_is_noticed(workshop, make, avr, mutant, mcu):
     path.write_text(whole.replace(mutant.find, mutant.replace))
     try:
         out = workshop.parent / "out" / mcu
-        built = make(PORT_DIR=workshop, APP="demo", MCU=mcu, USB_NAME=NAME, OUT=out)
+        variables = {"PORT_DIR": workshop, "APP": "demo", "MCU": mcu, "USB_NAME": NAME}
+        built = make(core_as_one=True, OUT=out, **variables)
     finally:
         path.write_text(whole)
     assert built.returncode == 0, built.stderr

@@ -14,8 +14,8 @@ def measured(build):
     """The rows of each chip."""
 
     def program(mcu, marks):
-        options = f"-DRATES_MARKS={marks}"
-        return build("usb_rates", "avr-usb", APP_DIR=str(APP), MCU=mcu, OPTIONS=options)
+        settings = {"APP_DIR": str(APP), "MCU": mcu, "OPTIONS": f"-DRATES_MARKS={marks}"}
+        return build("usb_rates", "avr-usb", core_as_one=False, **settings)
 
     return {mcu: rows(program(mcu, 0), program(mcu, 1), mcu) for mcu in CHIPS}
 

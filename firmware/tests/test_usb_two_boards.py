@@ -51,10 +51,7 @@ class Bus:
 
 @pytest.fixture
 def bus(build, monkeypatch):
-    sims = [
-        AvrSim(build(port="avr-usb", core_as_one=True, MCU=MCU, SERIAL=serial), MCU)
-        for serial in SERIALS
-    ]
+    sims = [AvrSim(build(port="avr-usb", MCU=MCU, SERIAL=serial), MCU) for serial in SERIALS]
     made = Bus(sims)
     monkeypatch.setattr("j2a_transports._usb.link.libusb", lambda *_: made.backend)
     yield made
