@@ -86,18 +86,25 @@ def follow():
     return run
 
 
+def without_sweeps(line):
+    """Return a command without the sweeps of the levels frame and core, which testees have."""
+    for level in ("frame", "core"):
+        cases = [case.ID for case in load() if level == case.LEVEL and case.ID not in SWEEPS]
+        line = line.replace(f"--level {level}", f"--case {' '.join(cases)}")
+    return line
+
+
 @pytest.mark.parametrize("sweeps", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
 def test_on_this_machine(need, follow, copy, sweeps):
-    """The run of level frame leaves out the sweeps; that of all levels has them, with `sweeps`.
+    """The runs of two levels leave out the sweeps; that of all levels has them, with `sweeps`.
 
     Without them no run can say which levels are reached.
     """
     need("cc")
     lines = commands("sh")
     assert len(lines) > 10
-    frame = [case.ID for case in load() if case.LEVEL == "frame" and case.ID not in SWEEPS]
-    shorter = [line.replace("--level frame", f"--case {' '.join(frame)}") for line in lines]
-    assert sum(map(operator.ne, lines, shorter)) == 1
+    shorter = [without_sweeps(line) for line in lines]
+    assert sum(map(operator.ne, lines, shorter)) == 2
     told = "".join(re.findall(r"^```text\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE))
     if not sweeps:
         every = [case.ID for case in load() if case.ID not in SWEEPS]
@@ -190,9 +197,11 @@ def test_the_figures_of_memory(need, make, tmp_path):
 
 
 @pytest.mark.avr
-def test_on_the_chip_of_the_example(need, follow, copy):
+@pytest.mark.parametrize("sweeps", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
+def test_on_the_chip_of_the_example(need, follow, copy, sweeps):
     need("avr-gcc")
-    printed = follow(copy, commands("sh avr"))
+    lines = commands("sh avr")
+    printed = follow(copy, lines if sweeps else map(without_sweeps, lines))
     assert "all 256 bytes came back" in printed
     assert f"Passed: {len(KNOWN)} of {len(KNOWN)}" in printed
     assert "The device is conformant" in printed
@@ -208,21 +217,26 @@ def filled(folder, interrupts):
     return folder
 
 
-@pytest.mark.parametrize("interrupts", [0, 1])
+@pytest.mark.sampled(2)  # each compiler and each setting, half of them by interrupt
 @pytest.mark.parametrize(
-    "settings",
+    ("settings", "interrupts"),
     [
-        {"CC": "gcc"},
-        {"CC": "clang"},
-        {"CC": "gcc", "RXBUF": "300"},
-        pytest.param({"CC": "avr-gcc", "MACHINE": "-mmcu=atmega328p"}, marks=pytest.mark.avr),
+        pytest.param(settings, (at + other) % 2, marks=marks, id=f"{settings}-{(at + other) % 2}")
+        for at, (settings, marks) in enumerate(
+            [
+                ({"CC": "gcc"}, []),
+                ({"CC": "clang"}, []),
+                ({"CC": "gcc", "RXBUF": "300"}, []),
+                ({"CC": "avr-gcc", "MACHINE": "-mmcu=atmega328p"}, pytest.mark.avr),
+            ]
+        )
+        for other in range(2)
     ],
-    ids=str,
 )
 def test_the_template_compiles_as_it_is(need, make, tmp_path, interrupts, settings):
     need(settings["CC"])
     port = filled(tmp_path / "port", interrupts)
-    result = make(PORT_DIR=port, OUT=tmp_path, **settings)
+    result = make(core_as_one=True, PORT_DIR=port, OUT=tmp_path, **settings)
     assert result.returncode == 0, result.stderr
 
 
@@ -239,7 +253,7 @@ def test_several_links_need_the_interrupt(need, make, tmp_path):
     result = make(goal, PORT_DIR=polled, LINKS=2, OUT=tmp_path)
     assert result.returncode != 0
     assert "J2A_LINKS of more than 1 needs BOARD_INTERRUPTS 1" in result.stderr
-    result = make(PORT_DIR=port, LINKS=2, OUT=tmp_path)
+    result = make(core_as_one=True, PORT_DIR=port, LINKS=2, OUT=tmp_path)
     assert result.returncode == 0, result.stderr
 
 
@@ -248,18 +262,18 @@ def test_a_finer_clock_needs_a_tenth_function(need, make, tmp_path):
     port = filled(tmp_path / "port", 0)
     with (port / "j2a_port_config.h").open("a") as config:
         config.write("#define BOARD_MICROSECONDS 1\n")
-    result = make(PORT_DIR=port, OUT=tmp_path)
+    result = make(core_as_one=True, PORT_DIR=port, OUT=tmp_path)
     assert result.returncode != 0
     assert "board_us" in result.stderr
     with (port / "board.c").open("a") as source:
         source.write("uint64_t board_us(void) {\n    return 0;\n}\n")
-    result = make(PORT_DIR=port, OUT=tmp_path)
+    result = make(core_as_one=True, PORT_DIR=port, OUT=tmp_path)
     assert result.returncode == 0, result.stderr
 
 
 def test_the_template_is_a_port_of_its_own(need, make, tmp_path):
     need("cc")
-    result = make(PORT="template", APP="selftest", OUT=tmp_path)
+    result = make(core_as_one=True, PORT="template", APP="selftest", OUT=tmp_path)
     assert result.returncode == 0, result.stderr
 
 

@@ -204,14 +204,20 @@ def test_cppcheck_finds_nothing_for_usb(need: Callable[[str], None], mcu: str) -
     assert (result.returncode, result.stdout + result.stderr) == (0, "")
 
 
+# What is on with two links, with the self-test or with the interface, is on in the last one.
+AT_ONCE = OPTIONS | {"at once": [*OPTIONS["two links"], *OPTIONS["interface"]]}
+
+
 @pytest.mark.parametrize(
     "options",
-    # The interface comes with the self-test.
     [
-        pytest.param(options, marks=pytest.mark.exhaustive if name == "self-test" else [])
-        for name, options in OPTIONS.items()
+        pytest.param(
+            options,
+            marks=pytest.mark.exhaustive if {*options} < {*AT_ONCE["at once"]} and options else [],
+        )
+        for options in AT_ONCE.values()
     ],
-    ids=OPTIONS,
+    ids=AT_ONCE,
 )
 def test_clang_tidy_finds_nothing(need: Callable[[str], None], options: list[str]) -> None:
     need("clang-tidy")
@@ -266,7 +272,8 @@ def avr_machine(mcu: str) -> list[str]:
     return [*machine, *AVR_DEFINES, "-O2"]  # delay.h wants to be optimised
 
 
-@pytest.mark.parametrize("mcu", CHIPS)
+@pytest.mark.sampled(2)  # one with an ADC and one without; cppcheck and the compiler have each
+@pytest.mark.parametrize("mcu", sorted(CHIPS, key=lambda mcu: not CHIPS[mcu].analog))
 def test_clang_tidy_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: str) -> None:
     """With the headers of avr-libc, which the compiler knows where to find."""
     need("clang-tidy")
@@ -280,6 +287,7 @@ def test_clang_tidy_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: 
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
 
 
+@pytest.mark.sampled(2)  # they differ in the clock of USB; cppcheck and the compiler have each
 @pytest.mark.parametrize("mcu", USB_CHIPS)
 def test_clang_tidy_finds_nothing_for_usb(need: Callable[[str], None], mcu: str) -> None:
     need("clang-tidy")

@@ -222,7 +222,8 @@ OPTIONS = [
 @pytest.mark.parametrize(("compiler", "standard", "options"), OPTIONS)
 def test_compilers_and_options(compile_app, tmp_path, need, compiler, standard, options):
     need(compiler)
-    result = compile_app(tmp_path, compiler, standard, ["-O1", *options.split()])
+    level = "-O1" if compiler == "g++" else "-O0"  # Clang warns of what it parses, at any level
+    result = compile_app(tmp_path, compiler, standard, [level, *options.split()])
     assert result.returncode == 0, result.stderr
 
 
@@ -300,8 +301,17 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("before", "item", "message"), MISTAKES)
-@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+@pytest.mark.parametrize(
+    ("compiler", "before", "item", "message"),
+    [
+        # What is told is the header's; of what the other compiler makes of it, one in four is seen.
+        pytest.param(
+            compiler, *mistake, marks=pytest.mark.exhaustive if at % 4 and compiler != "g++" else []
+        )
+        for compiler in ("g++", "clang++")
+        for at, mistake in enumerate(MISTAKES)
+    ],
+)
 def test_mistakes_are_told(two_files, tmp_path, need, compiler, before, item, message):
     need(compiler)
     source = tmp_path / "app.cpp"

@@ -173,10 +173,10 @@ DEFECTS = {
         "stamps",
     ),
 }
-# Those that show in what a device answers, and one of its memory.
+# Those that show in what a device answers, and one of its memory; all of `DEVICES`.
 TRIED = {
     "a full debug ring loses text silently",
-    "bytes beyond a small room are stored",
+    "a payload longer than the room is sent",
     "a stamp that is sent as the port has it",
 }
 

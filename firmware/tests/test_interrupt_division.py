@@ -93,6 +93,7 @@ class Calls:
         return seen
 
 
+@pytest.mark.sampled(2)  # of what is left out each part is in another: port, app, and the clock
 @pytest.mark.parametrize(("app", "port", "settings"), BUILDS.values(), ids=BUILDS)
 def test_no_interrupt_divides_64_bits(build, app, port, settings):
     calls = Calls(build(app, port, **settings))

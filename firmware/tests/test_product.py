@@ -15,12 +15,12 @@ CALLS = 300
 pytestmark = pytest.mark.avr
 
 
+@pytest.mark.sampled(2)  # they multiply by the same instructions
 @pytest.mark.parametrize("mcu", ["atmega32u2", "atmega328p"])
 def test_no_bit_is_lost(build, mcu):
     elf = build(
         "product",
         "avr-serial",
-        core_as_one=True,
         APP_DIR=str(APP),
         MCU=mcu,
         OPTIONS="-DJ2A_WITH_SYNC=1",

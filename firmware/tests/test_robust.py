@@ -19,6 +19,7 @@ ECHO = 4
 NASTY = bytes((c.SOF, c.SOS, c.ESC, c.SOF - 1, c.SOS - 1, c.ESC - 1, 0xFF, 0, ECHO))
 
 
+@pytest.mark.sampled(3)  # the first and the last: each compiler, and each sign
 @pytest.mark.parametrize("cc", ["gcc", "clang"])
 @pytest.mark.parametrize("sign", ["-fsigned-char", "-funsigned-char"])
 def test_golden_vectors_in_c(tmp_path, cc, sign):

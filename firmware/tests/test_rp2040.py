@@ -187,6 +187,7 @@ def test_clock_and_baud_rate(ask, build, baud):
     assert -3 * character_us - 100 < took_us - expected_us < 3.2 * character_us + 100
 
 
+@pytest.mark.sampled(2)  # each rate and each cut
 @pytest.mark.parametrize("baud", [2400, 50000, 115200])
 @pytest.mark.parametrize("cut", [2, 5])
 def test_pause_inside_a_frame(ask, build, error, baud, cut):

@@ -19,6 +19,8 @@ LONGEST_US = 10 * S
 RECORD = 5 + 2 + 5
 """Bytes of a record of a sensor: the mark, the CRC, ENABLED and PERIOD."""
 PERIOD, OTHER = ((number).to_bytes(4, "little") for number in (0x11223344, 0x55667788))
+STARTS = (5 * S, (1 << 32) - S)
+"""Times at which the device begins: any one, and before 32 bits of the time wrap."""
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +30,7 @@ def library(need, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(tmp_path_factory.mktemp("worn"), sync=False, more=(*options, WORN))
 
 
-@pytest.fixture(params=[5 * S, (1 << 32) - S], ids=["", "as 32 bits of the time wrap"])
+@pytest.fixture(params=STARTS)
 def device(library: Path, request) -> NativeTransducers:
     return NativeTransducers(library, request.param)
 
@@ -43,7 +45,12 @@ def save(device: NativeTransducers, one: int = NEWEST) -> bytes:
     return state
 
 
-@pytest.mark.parametrize("at", range(RECORD))
+@pytest.mark.sampled(2)  # each byte from one of the times, in turn
+@pytest.mark.parametrize(
+    ("device", "at"),
+    [(start, at) for at in range(RECORD) for start in (STARTS if at % 2 else STARTS[::-1])],
+    indirect=["device"],
+)
 def test_a_save_ends_at_each_byte(device: NativeTransducers, at: int) -> None:
     worn_at = device.variable("worn_at", ctypes.c_uint16)
     writes = device.variable("worn_writes", ctypes.c_uint32)

@@ -46,6 +46,7 @@ def compiled(missing):
     return run
 
 
+@pytest.mark.sampled(2)  # each compiler, and each size of a word
 @pytest.mark.parametrize("name", ALL)
 def test_target(name, compiled):
     """Less than the room for a payload would mean that something is not counted."""

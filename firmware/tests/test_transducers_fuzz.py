@@ -167,6 +167,7 @@ def built(build_firmware, tmp_path_factory):
     return build_firmware("app", APP_DIR=folder, CFLAGS=sanitizers), transds
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(2))
 def test_firmware_and_python_answer_the_same(built, seed):
     program, transds = built

@@ -14,7 +14,7 @@ import pytest
 FIRMWARE = Path(__file__).parents[1]
 FOLDERS = ("apps", "core", "drivers", "ports")
 OPTION = "J2A_WITH_SYNC"
-BUILDS = [("avr-serial", "demo"), ("avr-serial", "transducers"), ("avr-usb", "demo")]
+BUILDS = [("avr-serial", "transducers"), ("avr-serial", "demo"), ("avr-usb", "demo")]
 
 
 def without_clock(text):
@@ -74,6 +74,7 @@ def linked(folder, out, port, app):
 
 
 @pytest.mark.avr
+@pytest.mark.sampled(2)  # both ports, and both apps
 @pytest.mark.parametrize(("port", "app"), BUILDS)
 def test_a_build_without_the_clock_is_that_of_sources_without_it(avr, bare, tmp_path, port, app):
     whole = linked(FIRMWARE, tmp_path / "whole", port, app)
