@@ -13,7 +13,7 @@ import re
 import shutil
 import struct
 import subprocess
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
@@ -79,6 +79,12 @@ def test_bytes_of_a_frame_that_goes_on_are_not_decoded():
 def samples(board, sensor):
     """The samples of a sensor in the SIFs that came: time and raw value by channel."""
     return [values(sensor, sif.payload) for sif in board.sifs if sif.opcode == sensor]
+
+
+@pytest.fixture(scope="session")
+def build(build_firmware):
+    """Build as the Makefile does it by itself: the cycles of interrupts are on the page."""
+    return partial(build_firmware, core_as_one=False)
 
 
 @pytest.fixture
@@ -340,6 +346,7 @@ def test_edges_that_are_too_fast_are_noticed(board):
 
 
 @pytest.mark.avr
+@pytest.mark.sampled(2)  # the encoders of the ATmega32U4 are where those of the ATmega32U2 are
 @pytest.mark.parametrize("mcu", CHIPS)
 def test_a_storm_of_edges_does_no_harm(build, mcu):
     """Edges each 205 cycles leave no time for anything; no interrupt piles up on the stack."""
@@ -465,7 +472,8 @@ def clock_offset(board, sensor=QUAD):
 @pytest.mark.parametrize("options", ["", "-DJ2A_WITH_SYNC=1"])
 def test_distances(build, options):
     """Also where 16 bits of ticks last for less time than a measurement."""
-    board = Board(build("sensors", "avr-serial", **({"OPTIONS": options} if options else {})))
+    more = {"OPTIONS": options, "BAUD": "115200"} if options else {"BAUD": "500000"}
+    board = Board(build("sensors", "avr-serial", **more))
     board.quiet()
 
     def found():
@@ -490,7 +498,14 @@ def test_distances(build, options):
 
 @pytest.mark.avr
 @pytest.mark.parametrize(
-    ("mcu", "options"), [*((mcu, "") for mcu in CHIPS), (next(iter(CHIPS)), "-DJ2A_WITH_SYNC=1")]
+    ("mcu", "options"),
+    [
+        ("atmega328p", ""),
+        # Its servos are at timer 1, too, and its encoders where those of the ATmega32U2 are.
+        pytest.param("atmega32u4", "", marks=pytest.mark.exhaustive),
+        ("atmega32u2", ""),
+        ("atmega328p", "-DJ2A_WITH_SYNC=1"),
+    ],
 )
 def test_servo_pulses_while_the_host_talks(build, mcu, options):
     """Each edge is at its tick: no jitter at all, whatever else the chip does.
@@ -499,7 +514,8 @@ def test_servo_pulses_while_the_host_talks(build, mcu, options):
     takes four times as long: bytes and edges come less often.
     """
     more = {"OPTIONS": options, "BAUD": "115200"} if options else {"BAUD": "500000"}
-    board = Board(build("sensors", "avr-serial", MCU=mcu, **more), mcu)
+    more |= {} if options else {"MCU": mcu}
+    board = Board(build("sensors", "avr-serial", **more), mcu)
     servos = board.chip.servos
     board.talk_until(board.sim.cycle + board.sim.cycles(0.05))
     assert board.pins.edges(servos[0]) == board.pins.edges(servos[1]) == []  # none until asked
@@ -669,7 +685,7 @@ def triggered(make, need, tmp_path_factory):
         assert count == len(names)
         (copy / "transds.def").write_text(text, "utf-8")
         variables |= {"PORT": "avr-serial", "BAUD": "500000"}
-        done = make(APP=app, APP_DIR=copy, OUT=folder / "out", **variables)
+        done = make(core_as_one=True, APP=app, APP_DIR=copy, OUT=folder / "out", **variables)
         assert done.returncode == 0, done.stderr
         return folder / "out" / f"{app}.elf"
 
