@@ -9,6 +9,7 @@ number could be given to another file meanwhile. Windows can wait for sockets on
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import select
 import socket
@@ -19,6 +20,8 @@ from typing import Final
 from ._base import LinkClosed, LinkLost, Transport, WriteTimeout
 
 CHUNK: Final = 65536
+LOOK_S: Final = 0.1
+"""So often a read that nothing can wake looks whether it was to be."""
 
 READY: Final = 1
 BROKEN: Final = 2
@@ -71,11 +74,21 @@ class Readiness:
         self._poll = None
         self._just_ready: list[tuple[int, int]] | None = None
         if hasattr(select, "poll"):
-            self._poll = select.poll()
-            mask = select.POLLOUT if write else select.POLLIN
-            self._poll.register(fd, mask)
-            self._just_ready = [(fd, mask)]
+            self._poll = self._new_poll()
+            self._just_ready = [(fd, self._mask)]
         self.add(waker)
+
+    @property
+    def _mask(self) -> int:
+        return select.POLLOUT if self._write else select.POLLIN
+
+    def _new_poll(self) -> select.poll:
+        """Return what polls all of this; it cannot be used twice at a time."""
+        poll = select.poll()
+        poll.register(self._fd, self._mask)
+        for waker in self._wakers:
+            poll.register(waker.fileno(), select.POLLIN)
+        return poll
 
     def add(self, waker: Waker) -> None:
         """Let one more waker end the waits."""
@@ -85,14 +98,18 @@ class Readiness:
 
     def wait(self, timeout_s: float | None) -> int:
         """Return a set of READY, BROKEN (the peer hung up) and WOKEN; 0 when the time ran out."""
-        if self._poll is None or self._is_polling:  # the latter: in a signal handler amid a wait
+        poll = self._poll
+        if poll is None:
             return self._select(timeout_s)
+        was_polling = self._is_polling  # then this is a signal handler amid a wait
+        if was_polling:
+            poll = self._new_poll()
         self._is_polling = True
         try:
             limit_ms = None if timeout_s is None else timeout_s * 1000 if timeout_s > 0 else 0
-            found = self._poll.poll(limit_ms)
+            found = poll.poll(limit_ms)
         finally:
-            self._is_polling = False
+            self._is_polling = was_polling
         if found == self._just_ready:
             return READY
         result = 0
@@ -109,7 +126,7 @@ class Readiness:
     def hung_up(self) -> bool:
         """Whether the peer has hung up; bytes of it may still be there."""
         return self._poll is not None and any(
-            fd == self._fd and mask & select.POLLHUP for fd, mask in self._poll.poll(0)
+            fd == self._fd and mask & select.POLLHUP for fd, mask in self._new_poll().poll(0)
         )
 
     def _select(self, timeout_s: float | None) -> int:
@@ -148,6 +165,7 @@ class PolledTransport(Transport):
         super().__init__(url, write_timeout_s)
         self._read_fd = read_fd
         self._write_fd = write_fd
+        self._process = os.getpid()
         self._waker = Waker()
         self._readable = Readiness(read_fd, self._waker, write=False)
         self._writable = Readiness(write_fd, self._waker, write=True)
@@ -208,22 +226,33 @@ class PolledTransport(Transport):
         with self._reading:
             if self._closed or self._end is not None:
                 return True
-            if self._reader_waker is None:
-                self._add_reader_waker()
-            state = self._await_input(timeout_s)
+            state = self._await_input(timeout_s, may_be_woken=True)
             return bool(state & _INPUT) or self._closed
 
-    def _await_input(self, timeout_s: float | None) -> int:
+    def _await_input(self, timeout_s: float | None, *, may_be_woken: bool = False) -> int:
         """Wait until there is something to read, or until woken; return what `Readiness` says."""
         # A read with a time limit need not be woken, so a device saves the descriptors.
-        if timeout_s is None and self._reader_waker is None:
-            self._add_reader_waker()
+        if (timeout_s is None or may_be_woken) and self._reader_waker is None:
+            try:
+                self._add_reader_waker()
+            except OSError:  # there are too many open files
+                return self._look_for_input(timeout_s)
         state = self._readable.wait(0 if self._reader_woken else timeout_s)
         if (state != READY or self._reader_woken) and not self._closed:
             self._reader_woken = False
             if state & WOKEN and self._reader_waker is not None:
                 self._reader_waker.reset()
         return state
+
+    def _look_for_input(self, timeout_s: float | None) -> int:
+        """Do the same where nothing ends a wait, by looking again and again."""
+        end = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            left_s = 0 if self._reader_woken else end - time.monotonic()
+            state = self._readable.wait(min(left_s, LOOK_S))
+            if state or left_s <= 0:
+                self._reader_woken = False
+                return state
 
     def _add_reader_waker(self) -> None:
         self._reader_waker = Waker()
@@ -297,14 +326,28 @@ class PolledTransport(Transport):
     def close(self) -> None:
         """See `Transport.close`."""
         self._closed = True
+        if self._is_fork:
+            self._let_go()  # nobody who may hold the locks is in this process
+            return
         self._waker.wake()
         with self._reading, self._writing, self._sending:
-            if not self._released:
-                self._released = True
-                self._release()
-                self._waker.close()
-                if self._reader_waker is not None:
-                    self._reader_waker.close()
+            self._let_go()
+
+    @property
+    def _is_fork(self) -> bool:
+        """Whether this is a forked process: it has descriptors, but the link is its parent's."""
+        return os.getpid() != self._process
+
+    def _let_go(self) -> None:
+        if self._released:
+            return
+        self._released = True
+        try:
+            self._release()
+        finally:
+            self._waker.close()
+            if self._reader_waker is not None:
+                self._reader_waker.close()
 
     def _receive(self) -> bytes:
         """Return what is there, b"" at the end; BlockingIOError when there is nothing."""
@@ -324,7 +367,10 @@ class PolledTransport(Transport):
         return LinkLost(f"{self.url} is lost: {reason}")
 
     def _release(self) -> None:
-        """Free the descriptors; called once, when they are no longer in use."""
+        """Free the descriptors; called once, when they are no longer in use.
+
+        In a forked process that is all that it may do: the parent goes on.
+        """
         for fd in {self._read_fd, self._write_fd}:
             os.close(fd)
 

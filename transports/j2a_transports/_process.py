@@ -20,6 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Final
 
 from ._base import BadUrl, LinkLost, OpenFailed, Transport
@@ -80,10 +81,19 @@ class Child:
         except FileNotFoundError as error:
             what = "directory" if cwd is not None and error.filename == cwd else "program"
             missing = cwd if what == "directory" else command[0]
+            is_path = os.sep in command[0]
+            if what == "program" and is_path and Path(cwd or "", command[0]).is_file():
+                # So the system says it of what the program names: an interpreter, or a loader.
+                raise OpenFailed(
+                    f"{url}: {command[0]!r} is there, but not what runs it: see its first line, or "
+                    "whether it was built for this system"
+                ) from error
             raise OpenFailed(
                 f"{url}: there is no {what} {missing!r}: build it first or check the path"
             ) from error
         except PermissionError as error:
+            if cwd is not None and error.filename == cwd:
+                raise OpenFailed(f"{url}: the directory {cwd!r} may not be entered") from error
             raise OpenFailed(
                 f"{url}: {command[0]!r} may not be run: is it a program? try chmod +x"
             ) from error
@@ -110,18 +120,19 @@ class Child:
         return f"{self._name} ended with exit code {code}"
 
     def stop(self) -> None:
-        """Wait for the end, then ask for it, then force it."""
-        with self._stopping:
-            for ask, grace_s in (
-                (None, EOF_GRACE_S),
-                (self._terminate, TERMINATE_GRACE_S),
-                (self._kill, None),
-            ):
-                if ask is not None:
-                    ask()
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    self.process.wait(grace_s)
-                    return
+        """Wait for the end, then ask for it, then force it; what ends the waiting forces it, too.
+
+        A child that has become another user may refuse to be ended, and then is left alone.
+        """
+        with self._stopping, contextlib.suppress(PermissionError):
+            try:
+                if not self.has_ended(EOF_GRACE_S):
+                    self._terminate()
+                    self.has_ended(TERMINATE_GRACE_S)
+            finally:
+                if self.process.returncode is None:  # also amid an exception of a signal handler
+                    self._kill()
+                    self.process.wait()
 
     def _terminate(self) -> None:
         self._signal("SIGTERM", self.process.terminate)
@@ -171,7 +182,8 @@ class ProcessTransport(PolledTransport):
 
     def _release(self) -> None:
         super()._release()
-        self.child.stop()
+        if not self._is_fork:
+            self.child.stop()
 
 
 def check_url(url: Url) -> tuple[list[str], dict[str, Any]]:

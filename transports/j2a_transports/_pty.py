@@ -97,7 +97,7 @@ class PtyTransport(PolledTransport):
         return LinkLost(f"{self.url} is lost: the other program closed the terminal")
 
     def _release(self) -> None:
-        if sys.platform != "win32" and self._readable.hung_up():
+        if sys.platform != "win32" and not self._is_fork and self._readable.hung_up():
             # What this peer has left behind, unread by either side, must not reach the next one.
             with contextlib.suppress(OSError):
                 while os.read(self._read_fd, CHUNK):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -124,6 +125,25 @@ def test_a_file_that_is_no_program(scheme: str, tmp_path: Path) -> None:
 
 
 @both
+def test_a_program_whose_interpreter_is_not_there(scheme: str, tmp_path: Path) -> None:
+    file = tmp_path / "fw"
+    file.write_text("#!/no/such/interpreter\n")
+    file.chmod(0o755)
+    with pytest.raises(OpenFailed, match=r"'\./fw' is there, but not what runs it"):
+        j2a_transports.open(f"{scheme}:./fw", cwd=tmp_path)
+
+
+def test_a_working_directory_that_may_not_be_entered(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Root may enter every directory, so the system's answer is made up.
+    def refused(*_: object, cwd: str, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", cwd)
+
+    monkeypatch.setattr("subprocess.Popen", refused)
+    with pytest.raises(OpenFailed, match="the directory '/closed' may not be entered"):
+        j2a_transports.open("exec:cat", cwd="/closed")
+
+
+@both
 def test_the_working_directory(scheme: str, tmp_path: Path) -> None:
     with j2a_transports.open(f"{scheme}:pwd", cwd=tmp_path) as child:
         assert read_to_end(child).strip() == bytes(tmp_path.resolve())
@@ -173,6 +193,45 @@ def test_close_kills_a_child_that_will_not_end(monkeypatch: pytest.MonkeyPatch) 
     process = child_of(child)
     child.close()
     assert process.returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("interrupted", range(2))
+@pytest.mark.usefixtures("never_ends_by_itself")
+def test_ctrl_c_while_it_is_closed_leaves_no_child(
+    monkeypatch: pytest.MonkeyPatch, interrupted: int
+) -> None:
+    monkeypatch.setattr("j2a_transports._process.TERMINATE_GRACE_S", 0.1)
+    code = "import signal,time; signal.signal(15, signal.SIG_IGN); print(1, flush=True); "
+    child = j2a_transports.open(f"exec:{sys.executable} -c '{code}time.sleep(1000)'")
+    assert read_exactly(child, 2) == b"1\n"
+    process, waits = child_of(child), []
+    wait = process.wait
+
+    def wait_and_interrupt(limit_s: float | None = None) -> int:
+        waits.append(limit_s)
+        if len(waits) == 1 + interrupted:
+            raise KeyboardInterrupt
+        return wait(limit_s)
+
+    monkeypatch.setattr(process, "wait", wait_and_interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        child.close()
+    assert process.returncode == -signal.SIGKILL
+
+
+@pytest.mark.usefixtures("never_ends_by_itself")
+def test_a_child_of_another_user_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: int) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    child = j2a_transports.open("exec:sleep 1000")
+    process = child_of(child)
+    with monkeypatch.context() as patched:
+        patched.setattr("os.killpg", refused)
+        child.close()
+    assert process.returncode is None
+    process.kill()
+    process.wait()
 
 
 @pytest.mark.usefixtures("never_ends_by_itself")
