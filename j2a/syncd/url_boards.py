@@ -163,6 +163,7 @@ class _LinkBoard:
                 if self._problem != str(error):
                     _logger.warning("%s", error)
                 self._problem = str(error)
+                self._reading = None  # nobody knows how the clock does meanwhile
             self._stop.wait(self._interval_s if self._reading else min(self._interval_s, _LOOK_S))
 
     def _go_on(self, client: j2a.Client | None) -> None:

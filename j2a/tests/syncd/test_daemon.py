@@ -6,13 +6,14 @@ import pathlib
 import socket
 import threading
 import time
+from types import SimpleNamespace
 
 import j2a_transports
 import pytest
 
 import j2a
 from j2a.cli._sync import _show as show_status
-from j2a.clock import Clock
+from j2a.clock import Clock, ClockReading
 from j2a.io.host_time import HostTime
 from j2a.protocol.clock import LOOK_S
 from j2a.syncd import daemon as daemon_module
@@ -465,6 +466,30 @@ def test_boards_by_url_that_are_silent_delay_no_other(running, serve, board, mon
     assert {rows[name]["state"] for name in silent} == {"waiting"}
     may_end.set()
     until(lambda: "it is silent" in str(one.status()["boards"][1]["problem"]))
+
+
+def test_a_board_by_url_that_falls_silent_is_locked_no_more():
+    """Its link is still open, and what it said last bounds nothing any more."""
+    replies, asked = [], threading.Semaphore(0)
+
+    def read():
+        asked.release()
+        if not replies:
+            raise j2a.CallTimeout("no reply")
+        return replies.pop()
+
+    keeper = SimpleNamespace(is_running=True, error=None, rounds=1, failures=0)
+    client = SimpleNamespace(clock=SimpleNamespace(discipline=lambda _: keeper, read=read))
+    fleet = SimpleNamespace(add=lambda _: None, get=lambda _: client)
+    replies.append(ClockReading("locked", 1, 0.0, 0.0, 10.0, 50.0, True))
+    one = url_boards._LinkBoard("tcp:", 0.01, History())
+    one.start(fleet)
+    for _ in range(3):  # the third one is asked when the second has failed
+        assert asked.acquire(timeout=60)
+    one.stop()
+    one.thread.join(60)
+    row = one.facts(None)
+    assert (row["state"], row["uncertainty_us"], row["problem"]) == ("waiting", None, "no reply")
 
 
 def test_a_board_by_url_that_has_no_clock_is_told(running, serve):
