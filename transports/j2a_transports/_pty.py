@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 import time
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from ._base import LinkClosed, LinkLost, Listener, OpenFailed, Transport, TransportError
+from ._base import BadUrl, LinkClosed, LinkLost, Listener, OpenFailed, Transport, TransportError
 from ._in_use import InUse
 from ._poll import BROKEN, CHUNK, READY, PolledTransport, Readiness, Waker
 from ._process import CWD, Child, ProcessTransport, parse_command, undone_on_error, uninterrupted
@@ -26,7 +27,6 @@ from ._solo import wait_to_look
 from ._url import Url
 
 if sys.platform != "win32":
-    import pty
     import termios
     import tty
 
@@ -44,7 +44,7 @@ def _open_raw(url: Url) -> tuple[int, int]:
     if sys.platform == "win32":
         raise OpenFailed(f"{url.text}: there are no pseudo terminals on this system; use exec:")
     try:
-        master, slave = pty.openpty()
+        master, slave = os.openpty()  # that of the module pty hides why there is none
     except OSError as error:
         raise OpenFailed(f"{url.text}: no pseudo terminal: {error.strerror}") from error
     tty.setraw(slave, termios.TCSANOW)
@@ -175,15 +175,20 @@ class PtyListener(Listener):
         self._in_use.end()  # nothing in a forked process, and the link stays
 
     def _release(self) -> None:
-        os.close(self._master)
-        self._waker.close()
+        # As long as the terminal is there, nobody takes the link for a left-over and makes another.
         if self._link is not None:
             self._link.unlink(missing_ok=True)
+        os.close(self._master)
+        self._waker.close()
 
 
 def listen_url(url: Url) -> Listener:
     """Make a pseudo terminal, and for `pty:/some/path` a symbolic link to it."""
     options = url.options([], _LISTEN)
+    if re.search(r"[?\0]", url.rest):
+        raise BadUrl(
+            f"{url.text}: no link can have that name; options go into keywords of listen()"
+        )
     master, slave = _open_raw(url)
     device = os.ttyname(slave)
     # Closed, so that the master notices whether somebody else has it open; raw mode stays.

@@ -15,6 +15,7 @@ import os
 import re
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -126,11 +127,13 @@ def open_url(url: Url) -> Transport:
     """Open a port and, with `boot`, wait for the board to start and discard what it says."""
     name, options = _parse(url)
     port = _open_port(url, name, options)
-    transport: Transport
-    if os.name == "posix" and type(port).__module__ in POLLABLE:
-        transport = SerialTransport(url.text, port, options["write_timeout"])
-    else:
-        transport = _threaded(url.text, port, options["write_timeout"])
+    is_pollable = os.name == "posix" and type(port).__module__ in POLLABLE
+    make: Callable[..., Transport] = SerialTransport if is_pollable else _threaded
+    try:
+        transport = make(url.text, port, options["write_timeout"])
+    except OSError as error:
+        _close(port)
+        raise OpenFailed(f"{url.text}: {error.strerror or error}") from error
     transport.byte_time_s = _byte_time_s(name, options)
     transport.bit_rate = options["baud"]
     try:

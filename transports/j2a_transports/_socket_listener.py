@@ -74,9 +74,12 @@ class SocketListener(Listener):
                     raise TransportError(
                         f"{self.url}: cannot accept: {error.strerror or error}"
                     ) from error
-            # The client gave up between its arrival and our call.
+            # The client gave up between its arrival and our call, or was turned away; however many
+            # others there are, they wait for the next call.
             if deadline is not None:
-                timeout_s = max(0.0, deadline - time.monotonic())
+                timeout_s = deadline - time.monotonic()
+                if timeout_s <= 0:
+                    return None
 
     @abstractmethod
     def _take(self) -> Transport:

@@ -9,9 +9,11 @@ shared with other programs; a write is therefore done in pieces that fit once th
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
 import sys
+from collections.abc import Callable
 from typing import Any, Final
 
 from ._base import BadUrl, Listener, OpenFailed, Transport
@@ -38,8 +40,17 @@ class StandardStreams:
     """
 
     def __init__(self) -> None:
-        sys.stdout.flush()
-        self.read_fd, self.write_fd = os.dup(0), os.dup(1)
+        if sys.stdout is not None:  # it is where the program began without standard output
+            sys.stdout.flush()
+        for fd in (0, 1):
+            os.fstat(fd)  # a copy of the one would take the number of the other
+        with contextlib.ExitStack() as undo:
+            self.read_fd = os.dup(0)
+            undo.callback(os.close, self.read_fd)
+            self.write_fd = os.dup(1)
+            undo.callback(os.close, self.write_fd)
+            nothing = os.open(os.devnull, os.O_RDONLY)
+            undo.pop_all()
         self._terminal: Any = None
         if sys.platform == "win32":
             import msvcrt  # noqa: PLC0415 - exists there only
@@ -49,14 +60,16 @@ class StandardStreams:
         elif os.isatty(self.read_fd):
             self._terminal = termios.tcgetattr(self.read_fd)
             tty.setraw(self.read_fd, termios.TCSANOW)
-        nothing = os.open(os.devnull, os.O_RDONLY)
         os.dup2(nothing, 0)
         os.close(nothing)
         os.dup2(2, 1)
 
     def give_back(self) -> None:
         """Undo everything."""
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            # Where standard error is closed, too, stray text is lost.
+            with contextlib.suppress(OSError):
+                sys.stdout.flush()
         if sys.platform != "win32" and self._terminal is not None:
             with contextlib.suppress(termios.error):  # the terminal has hung up
                 termios.tcsetattr(self.read_fd, termios.TCSADRAIN, self._terminal)
@@ -70,16 +83,18 @@ class StdioTransport(PolledTransport):
 
     def __init__(self, url: str, streams: StandardStreams, write_timeout_s: float | None) -> None:
         self._streams = streams
+        # A pipe that is ready for writing has room for PIPE_BUF bytes, a terminal for one.
+        self._piece = 1 if os.isatty(streams.write_fd) else select.PIPE_BUF
         super().__init__(url, streams.read_fd, streams.write_fd, write_timeout_s)
 
     def _send(self, data: bytes | memoryview) -> int:
-        # A pipe that is ready for writing has room for PIPE_BUF bytes.
         if not self._writable.wait(0) & READY:
             raise BlockingIOError
-        return os.write(self._write_fd, data[: select.PIPE_BUF])
+        return os.write(self._write_fd, data[: self._piece])
 
     def _release(self) -> None:
-        self._streams.give_back()
+        if not self._is_fork:  # the terminal is shared
+            self._streams.give_back()
 
 
 def check_url(url: Url) -> dict[str, Any]:
@@ -96,10 +111,15 @@ def open_url(url: Url) -> Transport:
     try:
         streams = StandardStreams()
     except OSError as error:
-        raise OpenFailed(f"{url.text}: standard input or output is closed") from error
-    if os.name == "posix":
-        return StdioTransport(url.text, streams, options["write_timeout"])
-    return _threaded(url.text, streams, options["write_timeout"])
+        is_closed = error.errno == errno.EBADF
+        reason = "standard input or output is closed" if is_closed else error.strerror
+        raise OpenFailed(f"{url.text}: {reason}") from error
+    make: Callable[..., Transport] = StdioTransport if os.name == "posix" else _threaded
+    try:
+        return make(url.text, streams, options["write_timeout"])
+    except OSError as error:
+        streams.give_back()
+        raise OpenFailed(f"{url.text}: {error.strerror}") from error
 
 
 def listen_url(url: Url) -> Listener:

@@ -88,7 +88,8 @@ class TcpTransport(PolledTransport):
         return data
 
     def _lost(self, error: OSError | None) -> LinkLost:
-        if self._may_be_refused and not self._has_received:
+        by_server = error is None or isinstance(error, ConnectionError)
+        if by_server and self._may_be_refused and not self._has_received:
             return LinkLost(
                 f"{self.url} is lost: the server closed the connection before it sent anything; "
                 "it may be busy with another host"
@@ -131,6 +132,10 @@ def open_url(url: Url) -> Transport:
     wait_s = options["connect_timeout"]
     try:
         sock = socket.create_connection((host, port), wait_s)
+        if sock.getsockname() == sock.getpeername():
+            # From one of the ports that the system hands out it has reached itself.
+            sock.close()
+            raise ConnectionRefusedError(errno.ECONNREFUSED, "Connection refused")
         return TcpTransport(url.text, sock, options["write_timeout"], may_be_refused=True)
     except TimeoutError as error:
         raise OpenFailed(

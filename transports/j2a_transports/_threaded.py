@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-from ._base import LinkLost
+from ._base import LinkLost, OpenFailed
 from ._loopback import Channel, LoopbackTransport
 from ._poll import CHUNK
 
@@ -66,8 +66,15 @@ class ThreadedTransport(LoopbackTransport):
             threading.Thread(target=target, name=f"{url} {name}", daemon=True)
             for target, name in ((self._pump_out, "writer"), (self._pump_in, "reader"))
         ]
-        for thread in self._threads:
-            thread.start()
+        try:
+            for thread in self._threads:
+                thread.start()
+        except RuntimeError as refused:  # the system has no thread to give
+            self._threads = [thread for thread in self._threads if thread.is_alive()]
+            if not self._threads:
+                finish()
+            self.close()
+            raise OpenFailed(f"{url}: {refused}") from refused
 
     def _pump_in(self) -> None:
         try:
@@ -101,13 +108,15 @@ class ThreadedTransport(LoopbackTransport):
                 return
             self._ended = True
             super().close()
-            writer, reader = self._threads
-            writer.join(self.write_timeout_s)
+            # A sink that may take for ever gets a moment now.
+            limit_s = SINK_END_S if self.write_timeout_s is None else self.write_timeout_s
+            for writer in self._threads[:1]:
+                writer.join(limit_s)
             with contextlib.suppress(Exception):
                 # A device that is gone refuses this, in many ways.
-                self._interrupt(writer.is_alive())
-            writer.join(SINK_END_S)
-            reader.join(SOURCE_END_S)
+                self._interrupt(any(writer.is_alive() for writer in self._threads[:1]))
+            for thread, end_s in zip(self._threads, (SINK_END_S, SOURCE_END_S), strict=False):
+                thread.join(end_s)
             self._release()
 
     def _lost(self) -> LinkLost:

@@ -93,13 +93,15 @@ class FaultyTransport(Transport):
             self._check()
             self.inner.write_timeout_s = self.write_timeout_s
             pieces = self.tx.feed(bytes(data))
-            if not pieces:
+            try:
                 # Also when nothing is left to send, a closed or lost link is reported.
-                self.inner.write(b"")
-            for piece in pieces:
-                if piece.delay_s:
-                    self._wait(piece.delay_s)
-                self.inner.write(piece.data)
+                for piece in pieces or [Piece(0, b"")]:
+                    if piece.delay_s:
+                        self._wait(piece.delay_s)
+                    self.inner.write(piece.data)
+            except LinkClosed:
+                self._check()  # it may be a reset that was read meanwhile
+                raise
             if self.tx.ended:
                 self.inner.close()
                 self._check()

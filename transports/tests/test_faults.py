@@ -178,6 +178,20 @@ def test_a_reset_ends_the_link_after_the_bytes_before_it(side: str) -> None:
         faulty.read(0)
 
 
+def test_a_reset_that_is_read_is_a_lost_link_for_a_writer() -> None:
+    near, far = j2a_transports.pair()
+    link = wrap(near, rx=Rates(reset=1.0))
+    writing = Background(lambda: link.write(bytes(1 << 20)))
+    while not near._outgoing._data:
+        pass
+    far.write(b"x")
+    with pytest.raises(LinkLost):
+        link.read(PATIENCE_S)
+    with pytest.raises(LinkLost, match="a reset was injected"):
+        writing.result()
+    link.close()
+
+
 def test_a_reset_wakes_a_reader() -> None:
     near, far = j2a_transports.pair()
     with wrap(near, tx=Rates(reset=1)) as faulty, far:

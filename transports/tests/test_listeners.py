@@ -17,7 +17,7 @@ from typing import Any
 
 import j2a_transports
 import pytest
-from j2a_transports import LinkClosed, LinkLost, Listener, OpenFailed, Transport
+from j2a_transports import BadUrl, LinkClosed, LinkLost, Listener, OpenFailed, Transport
 
 from .suite import PATIENCE_S, Background, read_exactly, read_to_end
 
@@ -273,6 +273,49 @@ class TestTcp:
                 far.write(b"x")
                 assert near.read(PATIENCE_S) == b"x"
 
+    def test_however_many_are_turned_away_accept_keeps_its_limit(self) -> None:
+        """The others wait for the next call."""
+        with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+            nears = [j2a_transports.open(listener.url) for _ in range(3)]
+            with free_descriptors(0):
+                assert listener.accept(0) is None
+            for near in nears[1:]:
+                with accepted(listener) as far:
+                    far.write(b"x")
+                    assert near.read(PATIENCE_S) == b"x"
+            for near in nears:
+                near.close()
+
+    def test_a_client_that_reaches_itself_has_reached_nobody(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As one may that tries again and again at a port that the system hands out."""
+        socks = []
+
+        def to_itself(address: tuple[str, int], _: float) -> socket.socket:
+            sock = socket.socket()
+            socks.append(sock)
+            sock.bind(address)
+            sock.connect(sock.getsockname())
+            return sock
+
+        monkeypatch.setattr("socket.create_connection", to_itself)
+        with pytest.raises(OpenFailed, match="nothing listens there"):
+            j2a_transports.open("tcp://127.0.0.1:0")
+        assert [sock.fileno() for sock in socks] == [-1]
+
+    def test_a_network_that_fails_is_no_busy_server(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def fails(*_: object) -> bytes:
+            raise TimeoutError(errno.ETIMEDOUT, "Connection timed out")
+
+        with (
+            j2a_transports.listen("tcp://127.0.0.1:0") as listener,
+            j2a_transports.open(listener.url) as near,
+        ):
+            monkeypatch.setattr(near, "_receive", fails)
+            with pytest.raises(LinkLost, match="is lost: Connection timed out"):
+                near.read(0)
+
     def test_closing_ends_the_pause_after_too_many_open_files(self) -> None:
         listener = j2a_transports.listen("tcp://127.0.0.1:0")
         with j2a_transports.open(listener.url), free_descriptors(0):
@@ -394,6 +437,35 @@ class TestPty:
                 near.write(b"x")
                 assert far.read(PATIENCE_S) == b"x"
         assert not link.is_symlink()
+
+    @pytest.mark.parametrize("name", ["board?baud=9600", "bo\0ard"])
+    def test_a_name_that_no_client_could_open(self, name: str, tmp_path: Path) -> None:
+        with pytest.raises(BadUrl, match="no link can have that name"):
+            j2a_transports.listen(f"pty:{tmp_path}/{name}")
+        assert not [*tmp_path.iterdir()]
+
+    def test_a_link_of_the_next_listener_is_not_removed(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        link = tmp_path / "board"
+        first = j2a_transports.listen(f"pty:{link}")
+        close, successors = os.close, []
+
+        def close_and_go_on(fd: int) -> None:
+            close(fd)
+            if fd == first._master:
+                # The terminal is gone, and another program takes its place at once.
+                successors.append(j2a_transports.listen(f"pty:{link}"))
+
+        with monkeypatch.context() as patched:
+            patched.setattr("os.close", close_and_go_on)
+            first.close()
+        with successors[0]:
+            assert link.exists()
+
+    def test_why_there_is_no_terminal(self) -> None:
+        with free_descriptors(0), pytest.raises(OpenFailed, match="terminal: Too many open files"):
+            j2a_transports.listen("pty:")
 
     def test_a_stale_link_is_replaced_and_nothing_else(self, tmp_path: Path) -> None:
         link = tmp_path / "board"

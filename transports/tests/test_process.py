@@ -337,6 +337,63 @@ def test_standard_streams_by_threads() -> None:
     assert out == b"xstdio: is lost: the peer closed it\n"
 
 
+def test_a_terminal_that_nobody_reads_is_a_write_timeout() -> None:
+    code = (
+        "import sys, j2a_transports as t\n"
+        "with t.open('stdio:', write_timeout=0.1) as peer:\n"
+        "  try: peer.write(bytes(1 << 20))\n"
+        "  except t.WriteTimeout: print('timeout', file=sys.stderr)"
+    )
+    master, slave = os.openpty()
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=slave, stdout=slave, stderr=subprocess.PIPE
+    ) as process:
+        try:
+            _, error = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
+    os.close(slave)
+    os.close(master)
+    assert error == b"timeout\n"
+
+
+NOTHING_FREE = """
+import resource, j2a_transports as t
+from j2a_transports import _stdio
+count = 0
+while True:
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3 + count, 4096))
+    try:
+        peer = t.open("stdio:")
+    except t.OpenFailed as error:
+        print(error)
+    else:
+        break
+    count += 1
+peer.close()
+print(count)
+"""
+
+
+def test_standard_streams_are_given_back_where_the_system_has_no_file() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", NOTHING_FREE], capture_output=True, text=True, check=True
+    )
+    *told, count = done.stdout.splitlines()
+    # Two copies, the empty file, and a pair to wake waits by.
+    assert (told, count) == (["stdio: Too many open files"] * 4, "4")
+
+
+def test_no_standard_output_at_all() -> None:
+    code = (
+        "import os, sys, j2a_transports as t\nassert sys.stdout is None\n"
+        "try: t.open('stdio:')\nexcept t.OpenFailed as error: print(error, file=sys.stderr)"
+    )
+    shell = ["sh", "-c", 'exec "$0" -c "$1" >&-', sys.executable, code]
+    found = subprocess.run(shell, stderr=subprocess.PIPE, text=True, check=True)
+    assert found.stderr == "stdio: standard input or output is closed\n"
+
+
 def test_closed_standard_streams() -> None:
     code = (
         "import os, j2a_transports as t\nos.close(0)\n"

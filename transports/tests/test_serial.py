@@ -25,6 +25,8 @@ from j2a_transports import (
     WriteTimeout,
     _serial,
 )
+from j2a_transports._loopback import LIMIT
+from j2a_transports._poll import Waker
 from j2a_transports._threaded import ThreadedTransport
 
 from .suite import PATIENCE_S, Background, fill, read_exactly, read_to_end
@@ -63,6 +65,54 @@ def test_closing_a_full_loop_ends() -> None:
     with pytest.raises((WriteTimeout, LinkLost)):
         fill(port)
     port.close()
+
+
+def test_closing_ends_also_where_a_write_waits_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("j2a_transports._threaded.SINK_END_S", 0.1)
+    port = j2a_transports.open("serial:loop://", write_timeout=None)
+    writing = Background(lambda: port.write(bytes(1 << 20)))
+    while len(port._incoming._data) < LIMIT:
+        time.sleep(0.01)
+    closing = Background(port.close)
+    assert closing.result() is None
+    with pytest.raises(LinkClosed):
+        writing.result()
+
+
+@pytest.mark.parametrize("started", range(2))
+def test_without_a_thread_a_port_is_given_back(
+    monkeypatch: pytest.MonkeyPatch, started: int
+) -> None:
+    start, closed, threads = threading.Thread.start, [], []
+
+    def refuse(thread: threading.Thread) -> None:
+        if len(threads) == started:
+            raise RuntimeError("can't start new thread")
+        threads.append(thread)
+        start(thread)
+
+    monkeypatch.setattr("threading.Thread.start", refuse)
+    monkeypatch.setattr("j2a_transports._serial._close", closed.append)
+    with pytest.raises(OpenFailed, match="can't start new thread"):
+        j2a_transports.open("serial:loop://")
+    assert len(closed) == 1
+    assert not any(thread.is_alive() for thread in threads)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
+def test_without_a_file_a_port_is_given_back(
+    terminal: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: Waker) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    before = len([*Path("/dev/fd").iterdir()])
+    with monkeypatch.context() as patched:
+        patched.setattr("j2a_transports._poll.Waker.__init__", refuse)
+        with pytest.raises(OpenFailed, match="Too many open files") as failed:
+            j2a_transports.open(terminal.url)
+    assert failed.value.__cause__ is None  # nor keeps a frame of the traceback the port
+    assert len([*Path("/dev/fd").iterdir()]) == before
 
 
 def test_closing_a_stuck_port_ends_its_threads(

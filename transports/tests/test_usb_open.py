@@ -6,6 +6,7 @@ import builtins
 import errno
 import os
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from j2a_transports import BadUrl, MissingExtra, OpenFailed, usb_boards
 from j2a_transports._usb import find
 from j2a_transports._usb.address import Address
 
+from .fake_libusb import give_libusb
 from .fake_usb import (
     SYNC,
     FakeDevice,
@@ -241,6 +243,29 @@ def test_wrong_options() -> None:
     ):
         with pytest.raises(BadUrl, match=said):
             j2a_transports.open(f"usb://?{option}")
+
+
+def test_a_device_file_with_a_name_that_is_too_long() -> None:
+    url = "usb:///" + "a" * 300
+    j2a_transports.check(url)
+    with pytest.raises(OpenFailed, match="there is no /aaa"):
+        j2a_transports.open(url)
+
+
+@pytest.mark.parametrize("transfers", [1, 4])
+def test_without_a_thread_a_board_is_given_back(
+    bus: FakeBackend, monkeypatch: pytest.MonkeyPatch, transfers: int
+) -> None:
+    def refuse(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    give_libusb(monkeypatch)
+    bus.devices.append(board())
+    with monkeypatch.context() as patched:
+        patched.setattr("threading.Thread.start", refuse)
+        with pytest.raises(OpenFailed, match="can't start new thread"):
+            j2a_transports.open("usb://", transfers=transfers)
+    assert opened_and_closed(bus.devices[0])
 
 
 def test_a_device_file_and_a_link_to_one(

@@ -17,6 +17,7 @@ from j2a_transports._usb import watch as module
 from .fake_usb import board, usb_error
 from .fake_usb_backend import FakeBackend
 from .suite import PATIENCE_S, SETTLE_S, Background
+from .test_listeners import free_descriptors
 
 
 @pytest.fixture
@@ -59,6 +60,15 @@ def test_a_board_that_is_replaced_between_two_looks(bus: FakeBackend, watch: Usb
     watch.next(0)
     bus.devices[0] = board(address=9)
     assert [type(watch.next(0)), type(watch.next(0))] == [UsbLeft, UsbArrived]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a limit of POSIX")
+def test_with_too_many_open_files_it_goes_on(bus: FakeBackend, watch: UsbWatch) -> None:
+    assert isinstance(watch.next(0), UsbArrived)
+    with free_descriptors(0):
+        assert watch.next(0.05) is None
+    with free_descriptors(1), pytest.raises(OpenFailed, match="Too many open files"):
+        j2a_transports.watch_usb(backend=bus)
 
 
 def test_a_wait_ends_in_time(watch: UsbWatch) -> None:

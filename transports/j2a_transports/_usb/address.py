@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 from urllib.parse import unquote
 
@@ -96,7 +95,7 @@ def _one_serial(url: str, text: str | None, option: str | None) -> str | None:
 
 def _device_file(url: str, text: str) -> tuple[int, int]:
     """Return bus and address of a device file; a link, such as one that udev makes, is followed."""
-    if not Path(text).exists():
+    if not os.path.exists(text):  # noqa: PTH110 - one of Path raises what the system says of it
         raise OpenFailed(
             f"{url}: there is no {text}; is the board plugged in? `j2a list` shows what is there"
         )

@@ -46,6 +46,8 @@ def explained(url: str) -> Iterator[None]:
     except NotImplementedError as error:
         advice = WINUSB_ADVICE if sys.platform == "win32" else f"its driver cannot do that: {error}"
         raise OpenFailed(f"{url}: {advice}") from error
+    except RuntimeError as error:  # the system has no thread to give
+        raise OpenFailed(f"{url}: {error}") from error
     except OSError as error:
         advice = _ADVICE.get(error.errno or 0, f"{error}; plug it in again")
         raise OpenFailed(f"{url}: {advice}") from error

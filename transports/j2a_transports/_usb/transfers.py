@@ -113,10 +113,10 @@ class AsyncPipes(Pipes):
         self._stopping = False
         # libusb looks at it before it waits: set when the thread has something else to do.
         self._attention = ctypes.c_int(0)
+        self._thread = threading.Thread(target=self._run, name="usb events", daemon=True)
+        self._thread.start()  # first: without it no transfer would come back
         with self._changed:
             self._ask()
-        self._thread = threading.Thread(target=self._run, name="usb events", daemon=True)
-        self._thread.start()
 
     def _new_slot(self, end: Endpoint) -> _Slot:
         slot = _Slot(self._api, self._handle, end, self._callback)

@@ -32,6 +32,8 @@ SETTLING_S: Final = 0.1
 # The kernel's messages, and those of udev after its rules.
 _UEVENTS: Final = 15
 _GROUPS: Final = 1 | 2
+# The default one takes a descriptor, and there may be none.
+_Selector: Final = getattr(selectors, "PollSelector", selectors.DefaultSelector)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,11 @@ class UsbWatch:
         self._closed = False
         self._in_use = InUse(self._release)
         self._first = True
-        self._waker = Waker()
+        try:
+            self._waker = Waker()
+        except OSError as error:
+            self._closed = True
+            raise OpenFailed(f"usb: the devices cannot be watched: {error.strerror}") from error
         self._uevents = _uevent_socket()
         try:
             self._look()
@@ -175,7 +181,7 @@ class UsbWatch:
         self._first = False
 
     def _wait(self, wait_s: float) -> None:
-        with selectors.DefaultSelector() as selector:
+        with _Selector() as selector:
             selector.register(self._waker, selectors.EVENT_READ)
             if self._uevents is not None:
                 selector.register(self._uevents, selectors.EVENT_READ)
