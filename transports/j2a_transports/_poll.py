@@ -18,6 +18,7 @@ import time
 from typing import Final
 
 from ._base import LinkClosed, LinkLost, Transport, WriteTimeout
+from .options import LONGEST_S
 
 CHUNK: Final = 65536
 LOOK_S: Final = 0.1
@@ -98,6 +99,8 @@ class Readiness:
 
     def wait(self, timeout_s: float | None) -> int:
         """Return a set of READY, BROKEN (the peer hung up) and WOKEN; 0 when the time ran out."""
+        if timeout_s is not None and timeout_s >= LONGEST_S:
+            timeout_s = None
         poll = self._poll
         if poll is None:
             return self._select(timeout_s)

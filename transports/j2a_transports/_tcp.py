@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import socket
+import time
 from typing import Any, Final
 
 from ._base import LinkLost, Listener, OpenFailed, Transport
@@ -131,7 +132,7 @@ def open_url(url: Url) -> Transport:
     host, port, options = check_url(url)
     wait_s = options["connect_timeout"]
     try:
-        sock = socket.create_connection((host, port), wait_s)
+        sock = _connect(host, port, wait_s)
         if sock.getsockname() == sock.getpeername():
             # From one of the ports that the system hands out it has reached itself.
             sock.close()
@@ -147,6 +148,28 @@ def open_url(url: Url) -> Transport:
         ) from error
     except OSError as error:
         raise OpenFailed(f"{url.text}: cannot connect: {error.strerror or error}") from error
+
+
+def _connect(host: str, port: int, wait_s: float | None) -> socket.socket:
+    """Connect to the first address of a host that answers; they share the time."""
+    deadline = None if wait_s is None else time.monotonic() + wait_s
+    places = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    while True:
+        family, kind, protocol, _, place = places.pop(0)
+        try:
+            sock = socket.socket(family, kind, protocol)
+            try:
+                if deadline is not None:
+                    left_s = (deadline - time.monotonic()) / (1 + len(places))
+                    sock.settimeout(max(0.001, left_s))
+                sock.connect(place)
+                return sock
+            except BaseException:
+                sock.close()
+                raise
+        except OSError:
+            if not places:
+                raise
 
 
 def listen_url(url: Url) -> Listener:

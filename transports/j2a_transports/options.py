@@ -13,7 +13,7 @@ from typing import Any, Final
 __all__ = ["Converter", "boolean", "choice", "integer", "number", "text", "timeout"]
 
 Converter = Callable[[str], Any]
-_LONGEST_S: Final = 2e6
+LONGEST_S: Final = 2e6
 """So many seconds and more are for ever: systems count milliseconds in 31 bits."""
 
 
@@ -69,4 +69,4 @@ def timeout(value: str) -> float | None:
     seconds = float(value)
     if not seconds > 0:
         raise ValueError
-    return seconds if seconds < _LONGEST_S else None
+    return seconds if seconds < LONGEST_S else None

@@ -286,20 +286,38 @@ class TestTcp:
             for near in nears:
                 near.close()
 
+    def test_all_addresses_of_a_host_share_the_time(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        now, limits = [0.0], []
+
+        def silent(sock: socket.socket, _: tuple[str, int]) -> None:
+            limits.append(sock.gettimeout() or 0)
+            now[0] += limits[-1]
+            raise TimeoutError("timed out")
+
+        def three(host: str, port: int, **_: object) -> list[tuple[Any, ...]]:
+            return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port))] * 3
+
+        monkeypatch.setattr("socket.socket.connect", silent)
+        monkeypatch.setattr("socket.getaddrinfo", three)
+        monkeypatch.setattr("time.monotonic", lambda: now[0])
+        with pytest.raises(OpenFailed, match=r"no answer within 5\.0 s"):
+            j2a_transports.open("tcp://board:5000?connect_timeout=5")
+        assert limits == pytest.approx([5 / 3] * 3)
+
     def test_a_client_that_reaches_itself_has_reached_nobody(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """As one may that tries again and again at a port that the system hands out."""
         socks = []
 
-        def to_itself(address: tuple[str, int], _: float) -> socket.socket:
-            sock = socket.socket()
-            socks.append(sock)
-            sock.bind(address)
-            sock.connect(sock.getsockname())
-            return sock
+        connect = socket.socket.connect
 
-        monkeypatch.setattr("socket.create_connection", to_itself)
+        def to_itself(sock: socket.socket, place: tuple[str, int]) -> None:
+            socks.append(sock)
+            sock.bind(place)
+            connect(sock, sock.getsockname())
+
+        monkeypatch.setattr("socket.socket.connect", to_itself)
         with pytest.raises(OpenFailed, match="nothing listens there"):
             j2a_transports.open("tcp://127.0.0.1:0")
         assert [sock.fileno() for sock in socks] == [-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import socket
@@ -16,7 +17,7 @@ from j2a_transports import LinkClosed, Transport
 from j2a_transports._poll import READY, Readiness, Waker
 
 from .programs import run_program
-from .suite import PATIENCE_S, Background
+from .suite import PATIENCE_S, Background, read_exactly
 from .test_listeners import accepted, free_descriptors
 
 if sys.platform != "win32":
@@ -97,6 +98,18 @@ def at_a_signal(handle: Callable[[], object]) -> Iterator[None]:
     finally:
         sender.join()
         signal.signal(signal.SIGUSR1, before)
+
+
+@pytest.mark.parametrize("limit_s", [1e8, math.inf])
+def test_a_limit_that_the_system_cannot_count_is_none(limit_s: float) -> None:
+    with joined() as (near, far):
+        far.write(b"x")
+        assert near.wait(limit_s)
+        assert near.read(limit_s) == b"x"
+        near.write_timeout_s = limit_s
+        writing = Background(lambda: near.write(bytes(1 << 24)))
+        assert len(read_exactly(far, 1 << 24)) == 1 << 24
+        writing.result()
 
 
 def test_a_signal_handler_closes_a_terminal_amid_a_read() -> None:

@@ -339,7 +339,12 @@ near = j2a_transports.open_usb_device(found)
 child = os.fork()
 if child == 0:
     sys.exit(bool(near.closed))
-assert os.waitpid(child, 0)[1] == 0
+child = os.fork()
+if child == 0:
+    near.close()
+    sys.exit(not near.closed or not one.busy)  # it is the parent who gives the interface back
+assert os.waitpid(-1, 0)[1] == 0
+assert os.waitpid(-1, 0)[1] == 0
 one.end().write(b"still the parent's")
 print(near.read(None).decode())
 near.close()

@@ -109,6 +109,7 @@ class UsbTransport(Transport):
         # Re-entrant, so that a signal handler may close what its own thread is closing.
         self._ending = threading.RLock()
         self._ended = False
+        self._process = os.getpid()
         self._pipes: Pipes
         api = asynchronous(device) if transfers > 1 else None
         ours = claim_shown(device, pair)
@@ -182,6 +183,10 @@ class UsbTransport(Transport):
 
     def close(self) -> None:
         """See `Transport.close`."""
+        if os.getpid() != self._process:
+            # A child process only lets go: interface and transfers are its parent's.
+            self._incoming.reader_closed = True
+            return
         with self._ending:
             if self._ended:  # or it is being closed, and this is a signal handler amid that
                 return
