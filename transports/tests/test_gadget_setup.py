@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import j2a_transports
@@ -211,6 +212,31 @@ class TestWhatIsMissing:
             assert nothing_is_left(kernel)
         else:
             pytest.fail("it never succeeded")
+
+
+@pytest.mark.parametrize("missing", ["file", "thread 0", "thread 1", "thread 2"])
+def test_without_a_file_or_a_thread_nothing_is_left(
+    kernel: FakeKernel, name: str, monkeypatch: pytest.MonkeyPatch, missing: str
+) -> None:
+    start, started = threading.Thread.start, []
+
+    def refuse_file(_: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    def refuse_thread(thread: threading.Thread) -> None:
+        if f"thread {len(started)}" == missing:
+            raise RuntimeError("can't start new thread")
+        started.append(thread)
+        start(thread)
+
+    with monkeypatch.context() as patched:
+        if missing == "file":
+            patched.setattr("j2a_transports._poll.Waker.__init__", refuse_file)
+        patched.setattr("threading.Thread.start", refuse_thread)
+        with pytest.raises(OpenFailed, match=r"Too many open files|can't start new thread"):
+            UsbGadget(name=name)
+    assert not any(thread.is_alive() for thread in started)
+    assert nothing_is_left(kernel)
 
 
 class TestLeftOvers:

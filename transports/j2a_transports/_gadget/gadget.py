@@ -23,7 +23,14 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from j2a_transports._base import DEFAULT_WRITE_TIMEOUT_S, BadUrl, LinkClosed, Listener, Transport
+from j2a_transports._base import (
+    DEFAULT_WRITE_TIMEOUT_S,
+    BadUrl,
+    LinkClosed,
+    Listener,
+    OpenFailed,
+    Transport,
+)
 from j2a_transports._poll import READY, Readiness, Waker
 from j2a_transports._scheme import Scheme
 from j2a_transports._url import Url
@@ -97,7 +104,15 @@ class UsbGadget(Listener):
         self._buffer = buffer
         self._packet = 64
         identity = Identity(name, serial, vendor, product, manufacturer, product_name, udc, sync)
-        self._files = GadgetFiles(url, identity, self._kernel)
+        try:
+            self._waker = Waker()
+        except OSError as error:
+            raise OpenFailed(f"{url}: {error.strerror}") from error
+        try:
+            self._files = GadgetFiles(url, identity, self._kernel)
+        except BaseException:
+            self._waker.close()
+            raise
         # Guards all that follows, and the reading of events; a signal handler may come in between.
         self._changed = threading.Condition(threading.RLock())
         self._enabled = False
@@ -110,26 +125,26 @@ class UsbGadget(Listener):
         self._bound = False
         self._setting_up = threading.RLock()
         self._sending = threading.Lock()
-        self._waker = Waker()
         # One for the thread that waits, one for who holds the lock: neither can be shared.
         self._event = Readiness(self._files.control, self._waker, write=False)
         self._pending = Readiness(self._files.control, self._waker, write=False)
-        self._threads = [
-            threading.Thread(target=target, name=f"{url} {title}", daemon=True)
+        self._threads: list[threading.Thread] = []
+        # For a program that ends without closing.
+        atexit.register(self._remove)
+        try:
             for target, title in (
                 (self._watch, "events"),
                 (self._read_all, "reader"),
                 (self._read_sync, "sync"),
-            )
-        ]
-        for thread in self._threads:
-            thread.start()
-        # For a program that ends without closing.
-        atexit.register(self._remove)
-        try:
+            ):
+                thread = threading.Thread(target=target, name=f"{url} {title}", daemon=True)
+                thread.start()
+                self._threads.append(thread)
             self._bind()
-        except BaseException:
+        except BaseException as error:
             self.close()
+            if isinstance(error, RuntimeError):  # the system has no thread to give
+                raise OpenFailed(f"{url}: {error}") from error
             raise
 
     # ------------------------------------------------------------------ for the program
