@@ -8,6 +8,7 @@ lossy link may have caused is tried again.
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from datetime import datetime
 from typing import Generic, TypeVar
 
@@ -15,7 +16,7 @@ from j2a_transports import TransportError
 
 from ._case import BaseCase
 from ._judge import Judged, give_up
-from ._model import STOPPED_BY_USER, Result, Run, Verdict
+from ._model import STOPPED_BY_USER, HarnessError, Result, Run, Verdict
 from ._retry import Retry
 from .wire._link import Link
 
@@ -97,7 +98,7 @@ def judge(
         The run; also when it was interrupted or the testee was lost.
 
     Raises:
-        HarnessError: the link cannot be opened, or nothing answers.
+        HarnessError: the link cannot be opened, or nothing answers; later it only ends the run.
     """
     began, began_s = datetime.now().astimezone(), time.monotonic()
     testee = opener()
@@ -123,8 +124,14 @@ def judge(
             stopped = testee.leave(failed)
     except KeyboardInterrupt:
         stopped = STOPPED_BY_USER
+    except HarnessError as error:
+        if case in testee.start:
+            raise
+        # A testee that does not come back costs nothing of what was judged by then.
+        stopped = f"after {case.ID}: {error}"
     finally:
-        testee.close()
+        with suppress(TransportError):
+            testee.close()
     ran = {result.case for result in results}
     run = Run(
         url=url,

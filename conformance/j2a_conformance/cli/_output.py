@@ -6,18 +6,34 @@ note that cannot be written changes no judgement.
 """
 
 import contextlib
+import io
 import os
 import sys
 from typing import TextIO
 
 from j2a_spec.printable import printable
 
-__all__ = ["drop_output", "finish_notes", "note", "prepare_output", "show"]
+__all__ = ["drop_output", "finish_notes", "note", "prepare_output", "show", "show_progress"]
 
 
 def show(text: object = "", *, flush: bool = False) -> None:
     """Print text of one line or several on standard output."""
     print(printable(str(text), "\n\t"), flush=flush)
+
+
+def show_progress(text: object, *, must_end: bool) -> None:
+    """Print a line at once while a run goes on.
+
+    Args:
+        text: the line.
+        must_end: the run has a purpose beside its output, so that one that cannot be written does
+            not end it; what is shown at its end cannot be written either, and is the error then.
+    """
+    try:
+        show(text, flush=True)
+    except OSError:
+        if not must_end:
+            raise
 
 
 def note(text: str) -> None:
@@ -35,6 +51,10 @@ def prepare_output() -> None:
         sys.stdout = os.fdopen(os.open(os.devnull, os.O_RDONLY), "w")
     if sys.stderr is None:
         sys.stderr = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
+    # A property of the device may be Greek where the terminal, or a file on Windows, is Latin.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def finish_notes() -> None:

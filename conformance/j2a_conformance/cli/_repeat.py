@@ -24,41 +24,37 @@ def repeat(times: int, once: Callable[[], Run]) -> tuple[Run, int]:
     Raises:
         HarnessError: of the first run; later ones end the series.
     """
-    runs: list[Run] = []
+    seen: dict[str, Counter[Verdict]] = {}
+    last: Run | None = None  # all of them, with their evidence, would fill the memory
+    done = whole = 0
     stopped = ""
     show(f"{'run':>5}{'seconds':>9}" + "".join(f"{v.value:>17}" for v in Verdict), flush=True)
-    while len(runs) < times and not stopped:
+    while done < times and not stopped:
         try:
             run = once()
         except (HarnessError, KeyboardInterrupt) as error:
-            if not runs:
+            if last is None:
                 raise
             stopped = str(error) or STOPPED_BY_USER
             break
-        runs.append(run)
-        stopped = run.stopped
+        last, stopped = run, run.stopped
+        done, whole = done + 1, whole + (not stopped)
+        for result in run.results:
+            seen.setdefault(result.case, Counter())[result.verdict] += 1
         counts = Counter(result.verdict for result in run.results)
         cells = "".join(f"{counts[v] or '-':>17}" for v in Verdict)
-        show(f"{len(runs):5}{run.duration_s:9.1f}{cells}", flush=True)
+        show(f"{done:5}{run.duration_s:9.1f}{cells}", flush=True)
     show()
-    differ = _differ(runs)
+    assert last is not None
+    differ = {case: verdicts for case, verdicts in seen.items() if len(verdicts) > 1}
     for case, verdicts in differ.items():
         words = ", ".join(f"{verdict.value} {count} times" for verdict, count in verdicts.items())
         show(f"NOT THE SAME in all runs: {case}: {words}")
     if stopped:
-        whole = sum(not run.stopped for run in runs)
         show(f"Ended after {whole} of {times} runs: {stopped}.")
     elif not differ:
         show(f"The verdicts of {times} runs are the same, case by case.")
     if stopped == STOPPED_BY_USER:
-        return runs[-1], INTERRUPTED
-    code = FAILED if differ else status(runs[-1])
-    return runs[-1], HARNESS if stopped and code != FAILED else code
-
-
-def _differ(runs: list[Run]) -> dict[str, Counter[Verdict]]:
-    seen: dict[str, Counter[Verdict]] = {}
-    for run in runs:
-        for result in run.results:
-            seen.setdefault(result.case, Counter())[result.verdict] += 1
-    return {case: verdicts for case, verdicts in seen.items() if len(verdicts) > 1}
+        return last, INTERRUPTED
+    code = FAILED if differ else status(last)
+    return last, HARNESS if stopped and code != FAILED else code

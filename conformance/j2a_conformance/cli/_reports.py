@@ -52,6 +52,11 @@ class Reports:
         for path in asked.values():
             check_writable(path)
 
+    @property
+    def is_asked(self) -> bool:
+        """There is a report to write."""
+        return bool(self._asked)
+
     def write(self, run: Run) -> None:
         """Write each report.
 

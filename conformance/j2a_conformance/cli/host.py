@@ -21,7 +21,7 @@ from j2a_conformance.reports import _console
 
 from . import _cases, _reports
 from ._exit import CONFORMANT, UsageError, status
-from ._output import show
+from ._output import show, show_progress
 from ._target import check_scale
 
 __all__ = ["add_arguments", "main"]
@@ -83,7 +83,7 @@ def main(args: argparse.Namespace) -> int:
         raise UsageError("--wait takes a number above 0 and below 1000000")
     reports = _reports.Reports(args)
     with _place(args) as place:
-        found = _judge(place, args, cases)
+        found = _judge(place, args, cases, reports)
     try:
         show(_console.report(found), flush=True)
     finally:  # also if the reader of the output has closed it
@@ -116,10 +116,15 @@ def _tell(url: str) -> None:
     show(f"Waiting for a host at {url}", flush=True)
 
 
-def _judge(place: Listening, args: argparse.Namespace, cases: Sequence[HostCase]) -> Run:
+def _judge(
+    place: Listening,
+    args: argparse.Namespace,
+    cases: Sequence[HostCase],
+    reports: _reports.Reports,
+) -> Run:
     def tell(result: Result) -> None:
         if args.verbose:
-            show(_console.line(result), flush=True)
+            show_progress(_console.line(result), must_end=reports.is_asked)
 
     return run(
         place,

@@ -21,7 +21,7 @@ from j2a_conformance.reports import _console
 
 from . import _cases, _reports, _target
 from ._exit import CONFORMANT, UsageError, status
-from ._output import show
+from ._output import show, show_progress
 from ._repeat import repeat
 from ._target import Target, reach
 
@@ -135,10 +135,10 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
             cases = _cases.matching(cases, target.levels, None)
         rules = _deviations.Rules.of_profile(args.profile, _deviations.joined(target.known, known))
         if args.repeat == 1:
-            found = _judge(target, rules, args, cases)
+            found = _judge(target, rules, args, cases, reports)
             code = status(found)
         else:
-            found, code = repeat(args.repeat, lambda: _judge(target, rules, args, cases))
+            found, code = repeat(args.repeat, lambda: _judge(target, rules, args, cases, reports))
     try:
         show(_console.report(found), flush=True)
     finally:  # also if the reader of the output has closed it
@@ -147,11 +147,15 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
 
 
 def _judge(
-    target: Target, rules: _deviations.Rules, args: argparse.Namespace, cases: Sequence[Case]
+    target: Target,
+    rules: _deviations.Rules,
+    args: argparse.Namespace,
+    cases: Sequence[Case],
+    reports: _reports.Reports,
 ) -> Run:
     def tell(result: Result) -> None:
         if args.verbose:
-            show(_console.line(result), flush=True)
+            show_progress(_console.line(result), must_end=reports.is_asked)
 
     return run(
         target.opener,

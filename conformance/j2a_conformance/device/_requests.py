@@ -14,7 +14,7 @@ from j2a_spec.oracle import Frame, encode
 
 from j2a_conformance._judge import lack
 from j2a_conformance._model import Claims
-from j2a_conformance.wire._expected import Expected, Request, many_payload
+from j2a_conformance.wire._expected import Expected, Request, many_payload, number
 from j2a_conformance.wire._link import Link
 
 __all__ = ["MANY_ONLY", "Requests"]
@@ -74,8 +74,7 @@ class Requests:
     @property
     def rxbuf(self) -> int:
         """The property j2a.rxbuf in bytes, or 0 where the device does not announce it."""
-        value = self.claims.properties.get(c.PROP_RXBUF, "")
-        return int(value) if value.isascii() and value.isdigit() else 0
+        return number(self.claims.properties.get(c.PROP_RXBUF, ""))
 
     def room(self, at_most: int) -> int:
         """Return how many bytes of requests may be sent without waiting, up to `at_most`.

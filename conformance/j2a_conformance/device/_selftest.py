@@ -18,7 +18,9 @@ HOW_TO_BUILD: Final = (
     'build the firmware with OPTIONS="-DJ2A_WITH_SELFTEST=1" (with little flash also '
     "-DJ2A_SELFTEST_SMALL=1), or take APP=selftest"
 )
-_VALUE: Final = re.compile(r"(ok|failed) (\d+)/(\d+) ([0-9a-f]{8})(?: (\d+))?")
+_VALUE: Final = re.compile(
+    r"(ok|failed) ([0-9]{1,10})/([0-9]{1,10}) ([0-9a-f]{8})(?: ([0-9]{1,10}))?"
+)
 _SHOWN: Final = 24  # bytes of a vector
 
 

@@ -17,6 +17,7 @@ from j2a_spec.oracle import Event, Frame, FrameError, Skipped, decode
 
 from j2a_conformance._judge import Judged, fail
 from j2a_conformance._model import HarnessError
+from j2a_conformance.wire._expected import number
 from j2a_conformance.wire._link import Arrival
 
 from ._case import Case
@@ -290,9 +291,9 @@ class Echo(_Smoke):
         texts = [text.decode("utf-8", "replace") for text in data.split(b"\0")[:-1]]
         properties = dict(zip(texts[::2], texts[1::2], strict=False))
         peer.claims = replace(peer.claims, properties=properties)
-        room = properties.get(c.PROP_ROOM, "")
-        if room.isascii() and room.isdigit() and c.MIN_ROOM <= int(room) <= c.MAX_PAYLOAD:
-            peer.longest = int(room)
+        room = number(properties.get(c.PROP_ROOM, ""))
+        if c.MIN_ROOM <= room <= c.MAX_PAYLOAD:
+            peer.longest = room
         if c.CAP_INTERFACE in properties.get(c.PROP_CAPS, "").split(" "):
             self._complete_names(peer)
 

@@ -11,7 +11,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import ERROR_CODES, Event, Frame, FrameError, Incomplete, Skipped, decode
 
 from j2a_conformance._model import Claims
-from j2a_conformance.wire._expected import Expected, describe, refusal
+from j2a_conformance.wire._expected import Expected, describe, number, refusal
 
 __all__ = ["Rules", "Stream", "difference"]
 
@@ -36,8 +36,7 @@ class Rules:
         self.claims = claims
         self.longest = longest
         self.echo = claims.functions.index(c.GET_ECHO)
-        value = claims.properties.get(c.PROP_RXBUF, "")
-        self.room = max(held, int(value) if value.isascii() and value.isdigit() else 0)
+        self.room = max(held, number(claims.properties.get(c.PROP_RXBUF, "")))
 
     def due(self, stream: Stream) -> list[Expected]:
         """Return the replies to a stream; of a function that is not known any will do."""

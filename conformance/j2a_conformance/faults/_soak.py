@@ -43,6 +43,7 @@ _SIZES: Final = (0, 0, 1, 2, 3, 4, 6, 6, 8, 10, 12, 16, 24, 32, 64, 255)
 _NASTY: Final = bytes((c.SOF, c.SOS, c.ESC, c.SOF - 1, c.SOS - 1, c.ESC - 1, 0, 0xFE, 0xFF))
 _LARGEST: Final = 4096  # bytes in a batch: a pipe takes them at once, so they come without a pause
 _PATIENCE_S: Final = 10.0
+_MOST: Final = 1 << 22  # bytes of an answer: far more than any batch and its SIFs have
 _WHOLE: Final = re.compile(
     rb"(?:[\x12\xed](?:[^\x12\xed\x7d]|\x7d[\x11\xec\x7c]){4,259})*", re.DOTALL
 )
@@ -232,6 +233,8 @@ def _until_barrier(player: Player, peer: Peer, barrier: Request) -> bytes:
     end_s = link.now_s() + _PATIENCE_S * player.scale
     wanted = barrier.expected.wire
     while not answer.endswith(wanted) and (left_s := end_s - link.now_s()) > 0:
+        if len(answer) > _MOST:  # a device that floods the link would fill the memory
+            break
         answer += link.transport.read(left_s)
     return bytes(answer)
 

@@ -7,6 +7,7 @@ so the link is the only way between suite and program. Every frame that comes is
 oracle, whichever case runs.
 """
 
+import re
 import time
 from collections.abc import Iterable
 from dataclasses import replace
@@ -190,6 +191,13 @@ class Host:
         self.job(text)
         seen = self.serve()
         return self._reported(accepted), seen
+
+    def number(self, job: str) -> int:
+        """Have the host report a number by a job of this name, and return it."""
+        rest = self.do(job, job)[0].rest
+        if not re.fullmatch("[0-9]{1,10}", rest):
+            fail(f"the host reports `{job} {rest}`; expected `{job}` and a number")
+        return int(rest)
 
     def serve(self) -> list[Request]:
         """Let the device answer every request until the host reports; return the requests."""

@@ -5,6 +5,7 @@ one host program for the whole run as long as it behaves; after a failure it is 
 """
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
 
 from j2a_transports import TransportError
@@ -85,7 +86,8 @@ class _HostProgram(Testee[HostCase]):
 
     def leave(self, failed: str) -> str:
         if not failed:
-            self._host.job("bye")
+            with suppress(Judged, TransportError):  # one that has gone already misses nothing
+                self._host.job("bye")
         return ""
 
     def complete(self, run: Run) -> Run:

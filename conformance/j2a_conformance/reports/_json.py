@@ -22,6 +22,8 @@ __all__ = ["FORMAT", "parse", "read", "render"]
 
 FORMAT: Final = "j2a-conformance/1"
 _DERIVED: Final = ("conformant", "levels")
+_DIGITS: Final = 300
+"""Of a whole number: with more it could be larger than what a floating-point number holds."""
 
 
 class _WrongError(Exception):
@@ -76,7 +78,7 @@ def parse(text: str) -> Run:
         HarnessError: it is none; the message says why.
     """
     try:
-        found = json.loads(text, parse_constant=_no_constant)
+        found = json.loads(text, parse_constant=_no_constant, parse_int=_whole)
         if not isinstance(found, dict) or "format" not in found:
             raise _WrongError('it has no "format"; `j2a-conform run --json` writes reports')
         if found["format"] != FORMAT:
@@ -94,6 +96,12 @@ def parse(text: str) -> Run:
 
 def _no_constant(name: str) -> None:
     raise _WrongError(f"{name} is no number")
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > _DIGITS:
+        raise _WrongError(f"{digits:.20}... has {len(digits)} digits, which is no number of a run")
+    return int(digits)
 
 
 @cache

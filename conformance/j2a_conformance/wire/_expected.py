@@ -3,6 +3,7 @@
 What flows in: the fields of frames. What flows out: wire bytes of the oracle, and texts.
 """
 
+import re
 from dataclasses import dataclass, field
 
 from j2a_spec import constants as c
@@ -17,6 +18,7 @@ __all__ = [
     "difference",
     "first_difference",
     "many_payload",
+    "number",
     "refusal",
 ]
 
@@ -94,6 +96,14 @@ class ManyReply:
 def many_payload(func: int, flags: int = 0, offset: int = 0, data: bytes = b"") -> bytes:
     """Return the payload of a request to a2jMany; `flags` may hold any bits."""
     return bytes((func, flags)) + offset.to_bytes(4, "little") + data
+
+
+def number(value: str) -> int:
+    """Return the number of a property such as j2a.room, or 0 where a host takes it as absent.
+
+    More than 10 digits are no number (J2A-LIMIT-009), and could be more than `int` takes.
+    """
+    return int(value) if re.fullmatch(r"[1-9][0-9]{0,9}", value) else 0
 
 
 def first_difference(came: bytes, due: bytes) -> str:

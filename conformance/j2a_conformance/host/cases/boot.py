@@ -95,7 +95,7 @@ class Ends(_BootCase):
     REQUIREMENTS = ("J2A-BOOT-004", "J2A-BOOT-007")
 
     def _judge(self, host: Host) -> None:
-        before = int(host.do("restarts", "restarts")[0].rest)
+        before = host.number("restarts")
         whole = _payload(host.device)
         payloads = [whole[:length] for length in range(len(whole) + 1)]
         payloads += [whole + bytes(more) for more in (1, 2, 248)]
@@ -106,7 +106,7 @@ class Ends(_BootCase):
             host.send(host.sif(0x30, b"before"))
             boot(host, payload=payload)
             _restarted(host.outcome("restarted"))
-            count = int(host.do("restarts", "restarts")[0].rest) - before
+            count = host.number("restarts") - before
             if count != number + 1:
                 fail(f"the host has noticed {count} of {number + 1} restarts")
             new = host.asked(b"next")

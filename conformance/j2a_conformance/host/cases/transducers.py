@@ -325,7 +325,7 @@ class WrongSamples(_TransducerCase):
 
     @staticmethod
     def _count(host: Host) -> int:
-        return int(host.do("wrong-samples", "wrong-samples")[0].rest)
+        return host.number("wrong-samples")
 
 
 class Lost(_TransducerCase):
