@@ -28,15 +28,29 @@ def check_offsets(peer: Peer, name: str, whole: bytes, offsets: Sequence[int]) -
     """Read from each offset, some with data, which mean nothing (J2A-MANY-010); what comes must be
     that part of `whole`, the first read.
     """
+    ends_early = _ends_early(peer, name, len(whole))
     for flags, offset, data in _reads(peer, offsets):
         reply = peer.ask_many(peer.many(name, flags, offset, data))
         if not reply.data or whole[offset : offset + len(reply.data)] != reply.data:
             fail(f"a read at offset {offset} returns other bytes than the first read")
         if (reply.code, reply.offset) != (c.RET_OK, offset):
             fail(f"{reply} in a read at offset {offset}")
-        if (offset + len(reply.data) == len(whole)) != bool(reply.flags & c.FLAG_LAST):
+        is_last = ends_early and offset + len(reply.data) == len(whole)
+        if is_last != bool(reply.flags & c.FLAG_LAST):
             not_ = "" if reply.flags & c.FLAG_LAST else "not "
             fail(f"isLast is {not_}set in the chunk at {offset}, the end is {len(whole)}")
+
+
+def _ends_early(peer: Peer, name: str, size: int) -> bool:
+    """Tell whether the chunk with the last byte is the last one; else an empty chunk behind it has
+    to be (J2A-MANY-020). A device does the one or the other, whatever the offset.
+    """
+    if peer.ask_many(peer.many(name, offset=size - 1)).flags & c.FLAG_LAST:
+        return True
+    reply = peer.ask_many(peer.many(name, offset=size))
+    if reply.data or not reply.flags & c.FLAG_LAST:
+        fail(f"isLast is set neither in the chunk at {size - 1} nor at the end, {size}")
+    return False
 
 
 def _reads(peer: Peer, offsets: Sequence[int]) -> Iterator[tuple[int, int, bytes]]:
