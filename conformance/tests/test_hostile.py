@@ -106,6 +106,24 @@ def test_a_soak_keeps_no_flood(reference):
     assert not _until_barrier(player, peer, barrier).endswith(b"due")
 
 
+def test_an_escape_that_only_chunks_have_is_found(reference, judged):
+    """The echoes are compared byte by byte anyway; what a2jMany reads is only known to the device.
+
+    (J2A-STUFF-002)
+    """
+
+    class Needless(reference):
+        def wire(self, start, seq, opcode, payload):
+            wire = super().wire(start, seq, opcode, payload)
+            is_chunk = not opcode and len(payload) > c.MANY_HEADER and not payload[0]
+            return wire[:3] + bytes((c.ESC, wire[3] - 1)) + wire[4:] if is_chunk else wire
+
+    found = judged(Needless, ["properties.content", "frame.layout"])
+    by_case = {result.case: result.verdict for result in found.results}
+    assert by_case["frame.layout"] is Verdict.OK
+    assert by_case["properties.content"] is Verdict.FAILED
+
+
 # The program
 
 

@@ -139,8 +139,11 @@ class Peer(Requests):
         return self.ask(self.request(self.opcode(name), payload))
 
     def ask_many(self, request: Request) -> ManyReply:
-        """Send a request to a2jMany and return the payload of its reply, taken apart."""
-        payload = self.ask(request).payload
+        """Send a request to a2jMany and return the payload of its reply, taken apart.
+
+        The bytes are compared, too: most of these replies are content that only the device knows.
+        """
+        payload = self.ask_exact(request).payload
         if len(payload) < c.MANY_HEADER:
             fail(f"the reply of a2jMany has {len(payload)} payload bytes, its header takes 6")
         return ManyReply(
