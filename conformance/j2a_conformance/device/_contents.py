@@ -13,7 +13,7 @@ from j2a_conformance.wire._dimensions import payload_of
 
 from ._peer import Peer
 
-__all__ = ["check_all_or_none", "check_end", "check_offsets", "check_writes"]
+__all__ = ["check_all_or_none", "check_end", "check_offsets", "check_writes", "ends_early"]
 
 
 def check_all_or_none(has: Mapping[str, bool]) -> None:
@@ -28,20 +28,20 @@ def check_offsets(peer: Peer, name: str, whole: bytes, offsets: Sequence[int]) -
     """Read from each offset, some with data, which mean nothing (J2A-MANY-010); what comes must be
     that part of `whole`, the first read.
     """
-    ends_early = _ends_early(peer, name, len(whole))
+    early = ends_early(peer, name, len(whole))
     for flags, offset, data in _reads(peer, offsets):
         reply = peer.ask_many(peer.many(name, flags, offset, data))
         if not reply.data or whole[offset : offset + len(reply.data)] != reply.data:
             fail(f"a read at offset {offset} returns other bytes than the first read")
         if (reply.code, reply.offset) != (c.RET_OK, offset):
             fail(f"{reply} in a read at offset {offset}")
-        is_last = ends_early and offset + len(reply.data) == len(whole)
+        is_last = early and offset + len(reply.data) == len(whole)
         if is_last != bool(reply.flags & c.FLAG_LAST):
             not_ = "" if reply.flags & c.FLAG_LAST else "not "
             fail(f"isLast is {not_}set in the chunk at {offset}, the end is {len(whole)}")
 
 
-def _ends_early(peer: Peer, name: str, size: int) -> bool:
+def ends_early(peer: Peer, name: str, size: int) -> bool:
     """Tell whether the chunk with the last byte is the last one; else an empty chunk behind it has
     to be (J2A-MANY-020). A device does the one or the other, whatever the offset.
     """

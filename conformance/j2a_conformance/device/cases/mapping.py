@@ -14,7 +14,7 @@ def mapping(peer: Peer, payload: bytes = b"") -> bytes:
     """Return the payload of the reply of a2jGetMapping, or end the case where it is built out."""
     if not peer.claims.mapped:
         lack("the function map is not built in")
-    return peer.ask(peer.request(0, payload, c.RET_OK)).payload
+    return peer.ask_exact(peer.request(0, payload, c.RET_OK)).payload
 
 
 class Content(Case):

@@ -9,6 +9,7 @@ from j2a_conformance.device._case import Case
 from j2a_conformance.device._contents import check_end, check_offsets, check_writes
 from j2a_conformance.device._peer import Peer
 from j2a_conformance.device._selftest import read
+from j2a_conformance.wire._expected import number
 
 
 class Content(Case):
@@ -158,6 +159,5 @@ class Room(Case):
             if frame.opcode == c.RET_FAILED:
                 fail(f"the device has no room for 255 bytes, and no property {c.PROP_ROOM}")
             return
-        is_number = value.isascii() and value.isdigit() and not value.startswith("0")
-        if not is_number or not c.MIN_ROOM <= int(value) < c.MAX_PAYLOAD:
+        if not c.MIN_ROOM <= number(value) < c.MAX_PAYLOAD:
             fail(f"{c.PROP_ROOM} is {value!r}")

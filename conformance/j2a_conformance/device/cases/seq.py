@@ -4,7 +4,7 @@ import random
 
 from j2a_spec import constants as c
 
-from j2a_conformance._judge import fail
+from j2a_conformance._judge import skip
 from j2a_conformance.device._case import Case
 from j2a_conformance.device._peer import Peer
 from j2a_conformance.wire._dimensions import payload_of, spread
@@ -64,8 +64,8 @@ class RepeatedEffect(Case):
         before = len(peer.link.sifs)
         request = peer.request(peer.opcode("sif"), b"\x34again", c.RET_OK)
         peer.ask(request, request, request)
-        for n in range(3):
-            compare(peer, before + n, 0x34, b"again")
+        for _ in range(3):
+            before = 1 + compare(peer, before, 0x34, b"again")
 
 
 class OfErrors(Case):
@@ -78,7 +78,7 @@ class OfErrors(Case):
 
     def _run(self, peer: Peer) -> None:
         if not (free := peer.out_of_range()):
-            fail("the device claims 256 functions")
+            skip("the device has 256 functions, so no opcode is out of range")
         peer.ask_all(
             peer.request(free[seq % len(free)], b"", c.ERR_OPCODE, seq=seq) for seq in range(256)
         )
