@@ -210,12 +210,15 @@ def _driver(scheme: str, url: str) -> Any:
     module = _DRIVERS.get(scheme)
     if module is not None:
         return import_module(module, __package__)
-    from importlib.metadata import entry_points  # noqa: PLC0415 - slow to load
+    from difflib import get_close_matches  # noqa: PLC0415 - slow to load, as is the next
+    from importlib.metadata import entry_points  # noqa: PLC0415
 
     for point in entry_points(group=ENTRY_POINT_GROUP, name=scheme):
         try:
             return point.load()
         except Exception as error:  # of another package: the other schemes work without it
             raise OpenFailed(f"{url}: the driver {point.value} does not load: {error}") from error
+    near = get_close_matches(scheme, schemes(), 1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
     known = ", ".join(schemes())
-    raise BadUrl(f"{url}: unknown scheme {scheme!r}; known schemes: {known}")
+    raise BadUrl(f"{url}: unknown scheme {scheme!r}; {hint}known schemes: {known}")

@@ -67,6 +67,14 @@ def test_there_is_no_description_of_an_unknown_scheme() -> None:
         j2a_transports.describe("telnet")
 
 
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("tpc", "tcp"), ("seriel", "serial"), ("usbb", "usb"), ("exce", "exec")]
+)
+def test_a_misspelt_scheme_gets_the_one_that_was_meant(typed: str, meant: str) -> None:
+    with pytest.raises(BadUrl, match=f"scheme '{typed}'; did you mean '{meant}'. known schemes: "):
+        j2a_transports.open(f"{typed}://there")
+
+
 @pytest.mark.parametrize("scheme", ["loopback", "tcp"])
 def test_a_known_scheme_is_no_host(scheme: str) -> None:
     with pytest.raises((BadUrl, OpenFailed)) as caught:
