@@ -85,6 +85,7 @@ PARTS = {
     "cortex-m-two": LINK,
     "python-clock": TIMED,
     "python-transducers": ("transducers",),
+    "rp2040": LINK,
     "selftest-avr": ("properties",),
     "selftest-posix": ("properties",),
     "transducers": ("transducers",),
