@@ -176,8 +176,8 @@ class Bridge:
         """Bridge until `stop` is called, or no sink is left.
 
         Args:
-            on_open: called when all sinks were opened, before the first board is.
-
+            on_open: called when all sinks were opened or could not be, or after 30 s, before the
+                first board is.
         """
         self._loop = asyncio.get_running_loop()
         try:

@@ -2,7 +2,7 @@
 
 In: URLs of boards and names of sinks, or a file that says both. Out: samples, wherever they go.
 Rules: it runs until Ctrl-C or SIGTERM; a board that is gone is waited for, and a sink that fails is
-opened anew, so neither ends the others.
+opened anew, except for a recording, so neither ends the others.
 """
 
 from __future__ import annotations

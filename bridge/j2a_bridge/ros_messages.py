@@ -6,6 +6,7 @@ Rules: each sample is a message of its own type with all times and raw values (t
 Where unit and shape say what is measured, it also is one of a standard type in the unit of ROS,
 under the topic with a name of that type behind it; a value that is N/A is not sent there, as a
 standard message has no way to say so, nor is a channel that was not read since the sample before.
+Sensors with a queue and values that are arrays have no standard message.
 Types come from rosbags, an extra: each sink that needs it tells which one of its own brings it.
 """
 

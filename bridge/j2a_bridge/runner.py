@@ -4,8 +4,8 @@ What flows in: topics and samples, from the loop of the bridge. What flows out: 
 in order.
 Rules: so many samples may wait; then the oldest are dropped and counted. No news of a topic ever
 is, but where very many wait only the last ones of each topic stay. A sink that fails is told once,
-closed, and opened anew after a while with all its topics; one that cannot take a single topic goes
-on with the others.
+closed, and, unless its `RETRY_S` is None, opened anew after a while with all its topics; one that
+cannot take a single topic goes on with the others.
 """
 
 import contextlib

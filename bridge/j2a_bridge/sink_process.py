@@ -2,9 +2,9 @@
 
 What flows in: what the runner of a sink asks it for. What flows out: the same calls of that sink in
 another process, many samples in one message; back come its orders for boards, and what it logs.
-Rules: a process that ends or takes nothing is a sink that has failed, and is started anew; samples
-that it was given and did not publish count as lost. It ends when the bridge does, however that
-ends.
+Rules: a process that ends or takes nothing is a sink that has failed, and is started anew unless
+the sink has no `RETRY_S`; samples that it was given and did not publish count as lost. It ends when
+the bridge does, however that ends.
 """
 
 import contextlib

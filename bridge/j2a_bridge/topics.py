@@ -2,7 +2,7 @@
 
 What flows in: boards with their properties, and their transducers. What flows out: a name for each
 board and a topic for each transducer.
-Rules: a board keeps its name for as long as the program runs, wherever it is plugged in; two
+Rules: a board keeps its name, wherever it is plugged in, until `forget_board` frees it; two
 transducers never share a topic, nor has one the name of what sinks publish beside another's.
 """
 
