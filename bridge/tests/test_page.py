@@ -404,6 +404,83 @@ def test_what_is_known_of_a_clock_is_told_also_where_that_is_nothing(shown, cloc
 
 
 @needs_browser
+def test_a_clock_whose_error_has_no_bound_hides_no_state(shown):
+    """While its times do not fit those before; it ended the state of all boards behind it."""
+
+    async def work():
+        async with shown(board_of(), clock="follow") as (page, bridge):
+            sink = bridge.runners[0].sink
+            real = sink.state
+
+            def unbounded():
+                state = real()
+                for board in state["boards"]:
+                    board |= {"clock": "free", "uncertainty_us": "inf"}
+                return state
+
+            sink.state = unbounded
+            await page.until("document.querySelector('.about').innerText.includes('free ±inf µs')")
+            await page.run("document.getElementById('sinks').replaceChildren()")
+            await page.until("document.getElementById('sinks').innerText.includes('web: ')")
+            del sink.state
+            assert page.errors == []
+
+    asyncio.run(work())
+
+
+@needs_browser
+def test_a_problem_stays_and_is_said_once(shown, monkeypatch):
+    monkeypatch.setitem(web_server._FILES, "uplot.js", ("uplot/nothing.js", "text/javascript"))
+    watched = (
+        "(() => { window.count = 0; new MutationObserver(() => window.count++).observe("
+        "document.getElementById('told'), { childList: true, characterData: true }); })()"
+    )
+    told = "(() => { const one = document.getElementById('told');"
+    told += "return one.hidden ? '' : one.textContent; })()"
+
+    async def work():
+        async with shown(board_of()) as (page, bridge):
+            sink = bridge.runners[0].sink
+            await page.until("document.getElementById('sinks').innerText.includes('web: ')")
+            assert "run make page" in await page.run(told)
+            sink._problem = "no recording: a reason"
+            await page.until(f"{told} === 'no recording: a reason'")
+            await page.run(watched)
+            for _ in range(2):
+                await page.run("document.getElementById('sinks').replaceChildren()")
+                await page.until("document.getElementById('sinks').innerText.includes('web: ')")
+            assert await page.run("window.count") == 0
+            sink._problem = ""
+            await page.until(f"{told}.includes('run make page')")
+
+    asyncio.run(work())
+
+
+@needs_browser
+def test_each_line_of_the_log_is_shown_once_also_after_a_reconnect(shown):
+    shown_lines = "document.getElementById('log').innerText.split('once').length - 1"
+
+    async def work():
+        async with shown(board_of()) as (page, bridge):
+            sink = bridge.runners[0].sink
+            sink.note("robot", "x", "once")
+            await page.until(f"{shown_lines} > 0")
+
+            async def drop():
+                for one in list(sink.server._pages):
+                    await one.end(aiohttp.WSCloseCode.GOING_AWAY)
+
+            asyncio.run_coroutine_threadsafe(drop(), sink._loop)
+            await page.until("document.getElementById('link').textContent !== 'connected'")
+            await page.until("document.getElementById('link').textContent === 'connected'")
+            sink.note("robot", "x", "last")
+            await page.until("document.getElementById('log').innerText.includes('last')")
+            assert await page.run(shown_lines) == 1
+
+    asyncio.run(work())
+
+
+@needs_browser
 def test_a_bool_jumps_from_one_value_to_the_other(shown):
     # Columns of the plot with a line between the rows of false and true.
     between = (

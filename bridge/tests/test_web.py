@@ -693,6 +693,17 @@ def test_sifs_and_debug_text_are_in_the_log():
     assert any("all is well" in one["text"] for one in found if one["kind"] == "debug")
 
 
+def test_a_line_that_a_new_page_is_told_twice_has_one_number():
+    sink = WebSink("", {"folder": ".", "token": ""}, None)
+    for text in ("first", "second"):
+        sink.note("robot", "debug", text)
+    every = sink.log()
+    (news,) = sink.news()
+    assert every["is_all"] and "is_all" not in news
+    numbers = [one["number"] for one in every["lines"]]
+    assert numbers == [one["number"] for one in news["lines"]] == [1, 2]
+
+
 def test_the_log_goes_on_when_a_board_is_back_before_anybody_saw_it_gone():
     async def work():
         port = free_port()

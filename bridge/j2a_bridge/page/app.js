@@ -14,6 +14,8 @@ let uPlot = null;
 let nextId = 1;
 let isPaused = false;
 let spanS = 20;
+let noPlots = "";
+let newestLine = 0;
 const answers = new Map();
 
 function make(tag, attributes = {}, ...children) {
@@ -27,7 +29,9 @@ function make(tag, attributes = {}, ...children) {
   return element;
 }
 
-function told(text) {
+function told(problem) {
+  const text = problem || noPlots;
+  if (byId("told").textContent === text) return; // a screen reader would say it with each state
   byId("told").textContent = text;
   byId("told").hidden = !text;
 }
@@ -38,7 +42,10 @@ function connect() {
   const where = new URL("ws", location.href);
   where.protocol = "ws:";
   socket = new WebSocket(where);
-  socket.addEventListener("open", () => link("connected"));
+  socket.addEventListener("open", () => {
+    link("connected");
+    for (const board of boards.values()) board.isKnown = false; // it may have become another one meanwhile
+  });
   socket.addEventListener("message", (event) => take(JSON.parse(event.data)));
   socket.addEventListener("close", () => {
     link("not connected; trying again");
@@ -69,7 +76,7 @@ function take(about) {
   else if (about.op === "data") takeData(about.d);
   else if (about.op === "actuators") takeActuators(about.d);
   else if (about.op === "status") takeStatus(about);
-  else if (about.op === "log") takeLog(about.lines);
+  else if (about.op === "log") takeLog(about);
   else if (about.op === "answer") {
     answers.get(about.id)?.(about);
     answers.delete(about.id);
@@ -187,6 +194,7 @@ function showRate(status) {
 }
 
 function short(number) {
+  if (typeof number !== "number") return number; // "inf": the times of a clock do not fit those before
   return number >= 100 ? number.toFixed(0) : number.toFixed(1);
 }
 
@@ -531,10 +539,16 @@ function functionForm(board, about) {
 
 // ---------------------------------------------------------------------- the log
 
-function takeLog(lines) {
+function takeLog({ lines, is_all: isAll }) {
   const log = byId("log");
+  if (isAll) {
+    log.replaceChildren();
+    newestLine = 0;
+  }
   const isAtEnd = log.scrollTop + log.clientHeight >= log.scrollHeight - 4;
   for (const line of lines) {
+    if (line.number <= newestLine) continue; // it was among all lines already
+    newestLine = line.number ?? newestLine;
     const time = new Date(line.t).toISOString().slice(11, 23);
     log.append(make("li", {}, make("time", {}, time), make("b", {}, `${line.board} ${line.kind}`), line.text));
   }
@@ -567,7 +581,8 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", anew);
 try {
   uPlot = (await import("./uplot.js")).default;
 } catch {
-  told("Plots need uPlot, which is missing in this installation: run make page. Values are shown all the same.");
+  noPlots = "Plots need uPlot, which is missing in this installation: run make page. Values are shown all the same.";
+  told("");
 }
 connect();
 requestAnimationFrame(draw);

@@ -156,6 +156,7 @@ class WebSink(Sink):
         self._log: deque[dict[str, Any]] = deque(maxlen=_LOG)
         self._lines: list[dict[str, Any]] = []
         self._left_out = 0
+        self._noted = 0
         self._has_changed = False
         self._recorder: McapSink | None = None
         self._wanted: str | None = None
@@ -315,6 +316,8 @@ class WebSink(Sink):
         """Put a line into the log of pages; from any thread."""
         line = _line(board, kind, text[:_TEXT])
         with self._lock:
+            self._noted += 1
+            line["number"] = self._noted  # a page that is new may be told it twice
             self._log.append(line)
             if len(self._lines) < _LINES:
                 self._lines.append(line)
@@ -324,7 +327,7 @@ class WebSink(Sink):
     def log(self) -> dict[str, Any]:
         """Return the lines of the log."""
         with self._lock:
-            return {"op": "log", "lines": list(self._log)}
+            return {"op": "log", "lines": list(self._log), "is_all": True}
 
     def want_recording(self, is_wanted: bool) -> None:
         """Begin or end a recording, with the next state at the latest."""
