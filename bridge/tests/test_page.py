@@ -156,6 +156,81 @@ def test_a_slider_moves_by_steps_of_the_raw_value(shown):
 
 
 @needs_browser
+def test_a_slider_reaches_its_limits_and_zero_at_any_scale(shown):
+    text = (
+        "ACTUATOR(odd, 0, o, M, 1, i8, none, (scale, 0.57), (range, 0, 100))\n"
+        "ACTUATOR(arm, 1, a, M, 1, i16, none, (scale, 0.1), (range, -3, 3))\n"
+    )
+
+    async def work():
+        device = board_of(text)
+        async with shown(device) as (page, _):
+            await page.until("document.querySelectorAll('input[type=range]').length === 2")
+            script = (
+                "((slider, to) => { slider.value = to; slider.dispatchEvent(new Event('input'));"
+                "return slider.value; })"
+            )
+            found = [
+                await page.run(f"{script}(document.getElementById('set-{name}-0'), '{to}')")
+                for name, to in (("odd", 1000), ("arm", 1000), ("arm", -1000), ("arm", 0))
+            ]
+            await until(lambda: {("arm", 0, 0.0)} <= set(device.was_set), device.was_set)
+            await until(lambda: any(one[0] == "odd" for one in device.was_set))
+        return found, device.was_set
+
+    found, was_set = asyncio.run(work())
+    assert found == ["57", "0.3", "-0.3", "0"]
+    assert [value for name, _, value in was_set if name == "odd"] == [pytest.approx(57)]
+
+
+@needs_browser
+def test_an_enumeration_is_chosen_by_its_names_whatever_these_are(shown):
+    text = (
+        "J2A_ENUM(mode, u8, (null, 0), (on, 1), (NaN, 2), (never, 9))\n"
+        "ACTUATOR(fan, 0, f, M, 1, mode, 1, (range, 0, 2))\n"
+        "ACTUATOR(pump, 1, p, M, 1, mode, none)\n"
+    )
+    fan = "document.getElementById('set-fan-0')"
+
+    async def work():
+        device = board_of(text)
+        async with shown(device) as (page, bridge):
+            choices = [
+                await page.run(
+                    f"[...document.getElementById('set-{name}-0').options].map((one) =>one.value)"
+                )
+                for name in ("fan", "pump")
+            ]
+            await page.until(f"{fan}.value === 'on'")  # the safe one
+            for count, name in enumerate(("NaN", "null")):
+                await page.run(f"{fan}.value = '{name}'; {fan}.form.requestSubmit()")
+                await until(lambda count=count: len(device.was_set) > count)
+            transducers = await bridge.client("robot").transducers()
+            await transducers["fan"].set("on")  # by another host
+            await page.until(f"{fan}.value === 'on'")
+            assert page.errors == []
+        return choices, [int(value) for _, _, value in device.was_set]
+
+    choices, was_set = asyncio.run(work())
+    assert choices == [["null", "on", "NaN"], ["null", "on", "NaN", "never"]]
+    assert was_set == [2, 0, 1]
+
+
+@needs_browser
+def test_names_and_paths_without_a_space_are_wrapped_at_390_pixels(shown):
+    model, doc = "M" * 60, "d" * 90
+
+    async def work():
+        device = board_of(f'SENSOR(s, 0, s, {model}, 1, u8, none, "{doc}")\n', name="n" * 64)
+        async with shown(device, 390, 800) as (page, bridge):
+            bridge.runners[0].sink._problem = "no recording: /" + "p" * 100
+            await page.until("document.getElementById('told').innerText.includes('ppp')")
+            return await page.run("document.documentElement.scrollWidth")
+
+    assert asyncio.run(work()) <= 390
+
+
+@needs_browser
 def test_controls_start_where_the_actuators_are_and_follow_them(shown):
     text = (
         "ACTUATOR(arm, 0, a, M, 2, i16, 100, (unit, rad), (scale, -0.001), (range, -1570, 1570))\n"

@@ -390,7 +390,9 @@ function actuatorCard(name, about) {
   const topic = { element, controls, orders: 0 };
   const send = async (text, channel) => {
     topic.orders++;
-    const reply = await order({ op: "set", topic: name, text, channel });
+    // As a text a number has all its digits; names such as null and NaN are no values of JSON.
+    const what = about.choices ? { values: [text] } : { text };
+    const reply = await order({ op: "set", topic: name, ...what, channel });
     answer.className = reply.ok ? "good" : "bad";
     answer.textContent = reply.ok ? "set" : reply.message;
     topic.orders--;
@@ -427,8 +429,11 @@ function control(name, about, channel, send) {
   const range = about.range;
   // Whole numbers that are greater cannot be told apart here, so a slider would miss them.
   const isExact = type[0] === "f" || range?.every((end) => Number.isSafeInteger(Math.round(end)));
-  if (!range || !isExact || typeof range[0] !== "number" || typeof range[1] !== "number") {
-    const input = make("input", { id, type: "text", placeholder: type, autocomplete: "off" });
+  if (about.choices || !range || !isExact || typeof range[0] !== "number" || typeof range[1] !== "number") {
+    const input = about.choices
+      ? make("select", { id }, ...about.choices.map((choice) => make("option", {}, choice)))
+      : make("input", { id, type: "text", placeholder: type, autocomplete: "off" });
+    if (about.choices) input.selectedIndex = -1; // none is set yet
     const form = make("form", {}, input, make("button", {}, "Set"));
     form.addEventListener("submit", (event) => {
       event.preventDefault();
@@ -438,7 +443,8 @@ function control(name, about, channel, send) {
     let told = "";
     const take = (text) => {
       if (text === null || input.value !== told) return; // somebody types
-      input.value = told = text;
+      input.value = text;
+      told = input.value; // "" where it is none of the choices
     };
     return { element: make("div", { class: "slider" }, label, form), take };
   }

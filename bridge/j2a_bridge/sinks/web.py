@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from j2a import LocalError
 from j2a.cli.plugin import plain
-from j2a.types.model import Structure, Type
+from j2a.types.model import Enumeration, Structure, Type
 from j2a_bridge.actuator_values import ActuatorValues
 from j2a_bridge.json_values import finite
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update, port_of
@@ -114,10 +114,24 @@ def _shown(value: Any, kind: Type) -> str:
     return plain(value)
 
 
-def _step(topic: Topic) -> float | str:
-    """Return what a slider moves by: one step of the raw value, or "any" as of HTML."""
+def _control(topic: Topic) -> dict[str, Any]:
+    """Return what a control of the page needs.
+
+    A slider moves by one step of the raw value, or by "any" as of HTML, from its lowest value on: a
+    limit with digits that only rounding made would put all values off, and the highest one out of
+    reach. Of an enumeration the names within the range can be chosen.
+    """
     one = topic.transducer
-    return "any" if one.type.element in ("f32", "f64") else abs(one.scale)
+    element, ends = one.type.element, one.range
+    about: dict[str, Any] = {"step": "any" if element in ("f32", "f64") else abs(one.scale)}
+    if ends is not None and one.is_scaled:
+        about["range"] = finite([float(f"{end * one.scale + one.offset:.15g}") for end in ends])
+    if isinstance(element, Enumeration) and one.type.count is None and not one.is_sensor:
+        names = element.values
+        about["choices"] = [
+            name for name, number in names if ends is None or ends[0] <= number <= ends[1]
+        ]
+    return about
 
 
 def _line(board: str, kind: str, text: str) -> dict[str, Any]:
@@ -277,7 +291,7 @@ class WebSink(Sink):
         return {
             "op": "topics",
             "topics": {
-                one.name: {"board": one.board, **transducer_object(one), "step": _step(one)}
+                one.name: {"board": one.board, **transducer_object(one), **_control(one)}
                 for one in topics
             },
         }
