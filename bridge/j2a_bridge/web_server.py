@@ -48,7 +48,9 @@ _MAX_PAGES: Final = 16
 _MAX_MESSAGE: Final = 64 * 1024
 _MAX_ORDERS: Final = 8
 _WAITING: Final = 64
+_HTTP_PORT: Final = 80
 _PING_S: Final = 20.0
+_CLOSE_S: Final = 2.0
 _DEBUG_S: Final = 0.5
 _ACTUATORS_S: Final = 1.0
 _FILES: Final = {
@@ -185,8 +187,7 @@ class PageServer:
                     self.tell(about)
         finally:
             self._listener.close()
-            for page in list(self._pages):
-                await page.end(WSCloseCode.GOING_AWAY)
+            await asyncio.gather(*(page.end(WSCloseCode.GOING_AWAY) for page in self._pages))
             await self._runner.cleanup()
 
     def stop(self) -> None:
@@ -211,7 +212,9 @@ class PageServer:
         Raises:
             HTTPForbidden: always for others.
         """
-        hosts = f"127.0.0.1:{self._port}", f"localhost:{self._port}"
+        # Browsers leave out the port that HTTP has anyway.
+        ports = (f":{self._port}", "")[: 1 + (self._port == _HTTP_PORT)]
+        hosts = {f"{name}{port}" for name in ("127.0.0.1", "localhost") for port in ports}
         origin = request.headers.get("Origin")
         token = request.match_info["token"].encode()
         if (
@@ -244,7 +247,7 @@ class PageServer:
             raise web.HTTPServiceUnavailable(text="Too many pages are open.\n")
         socket = web.WebSocketResponse(max_msg_size=_MAX_MESSAGE, heartbeat=_PING_S)
         await socket.prepare(request)
-        page = _Page(self._sink, socket)
+        page = _Page(self._sink, socket, request.transport)
         self._pages[page] = None
         try:
             sink = self._sink
@@ -269,13 +272,16 @@ class PageServer:
                     self._sink.control.submit(self._watch_board(name, client))
                     self._sink.control.submit(self._follow_actuators(name, client))
 
+    def _is_watched(self, name: str, client: j2a.AsyncClient) -> bool:
+        return client.is_open and self._watched.get(name) is client
+
     async def _follow_actuators(self, name: str, client: j2a.AsyncClient) -> None:
         """Read the actuators of a board once, and again and again while a page is open.
 
         They are also set by other hosts, by other sinks, and by their watchdog.
         """
         values = self._sink.actuators
-        while client.is_open and self._watched.get(name) is client:
+        while self._is_watched(name, client):
             for topic in self._sink.actuators_of(name):
                 if self._pages or not values.is_known(topic.name):
                     with contextlib.suppress(j2a.J2AError):  # it is asked again
@@ -284,11 +290,14 @@ class PageServer:
 
     async def _watch_board(self, name: str, client: j2a.AsyncClient) -> None:
         """Note the SIFs of a board that are no samples, and its debug text, while it is here."""
-        try:
-            descriptors = (await client.transducers()).descriptors
-        except j2a.J2AError:
-            self._watched.pop(name, None)  # the next state begins anew
-            return
+        while True:
+            try:
+                descriptors = (await client.transducers()).descriptors
+                break
+            except j2a.J2AError:
+                await asyncio.sleep(_DEBUG_S)
+            if not self._is_watched(name, client):
+                return
         samples = {one.id for one in descriptors.transducers} if descriptors else set()
 
         def take(sif: j2a.Sif) -> None:
@@ -297,7 +306,7 @@ class PageServer:
                 self._sink.note(name, "SIF", text)
 
         client.on_sif(None, take)
-        while client.is_open and self._watched.get(name) is client:
+        while self._is_watched(name, client):
             try:
                 text = (await client.read_debug()).strip()
             except (j2a.UnknownFunction, j2a.OpcodeRefused):
@@ -325,9 +334,10 @@ async def _add_headers(request: Any, response: Any) -> None:
 class _Page:
     """One page that is open."""
 
-    def __init__(self, sink: Source, socket: Any) -> None:
+    def __init__(self, sink: Source, socket: Any, transport: Any) -> None:
         self._sink = sink
         self._socket = socket
+        self._transport = transport
         self._queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
         self._orders: set[asyncio.Task[None]] = set()
 
@@ -343,9 +353,12 @@ class _Page:
             task.add_done_callback(self._orders.discard)
 
     async def end(self, code: int) -> None:
-        """Close it."""
-        with contextlib.suppress(OSError, RuntimeError, TimeoutError):
-            await asyncio.wait_for(self._socket.close(code=code), 2.0)
+        """Close it; one that reads nothing, such as a tab that is frozen, takes no word of that."""
+        with contextlib.suppress(OSError, RuntimeError):
+            try:
+                await asyncio.wait_for(self._socket.close(code=code), _CLOSE_S)
+            except TimeoutError:
+                self._transport.abort()
 
     async def run(self) -> None:
         """Take orders until the page is closed."""

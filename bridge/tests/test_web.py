@@ -11,14 +11,16 @@ import re
 import socket
 import struct
 import threading
+from types import SimpleNamespace
 
 import aiohttp
+import aiohttp.web
 import pytest
 from j2a_bridge import web_server
 from j2a_bridge.actuator_values import ActuatorValues, _object
 from j2a_bridge.sink import BoardStatus, Status
 from j2a_bridge.sinks.web import _SERIES, WebSink, _Span
-from j2a_bridge.web_server import _Page
+from j2a_bridge.web_server import PageServer, _Page
 
 import j2a
 from j2a.recording import Recorder, Recording
@@ -222,6 +224,50 @@ def test_a_value_that_was_read_before_an_order_was_answered_is_not_told():
     assert not values.is_known("servo")
 
 
+def test_a_board_that_does_not_answer_at_once_is_followed_once(monkeypatch):
+    """Each state began to read its actuators once more, and none of that ended."""
+
+    class Late:
+        is_open = True
+        asked = 0
+
+        async def transducers(self):
+            self.asked += 1
+            if self.asked < 4:
+                raise j2a.CallTimeout("no answer")
+            return SimpleNamespace(descriptors=None)
+
+        def on_sif(self, opcode, take):
+            followed.append("sif")
+
+        async def read_debug(self):
+            return ""
+
+    followed = []
+
+    async def follow(self, name, client):
+        followed.append("actuators")
+
+    monkeypatch.setattr(PageServer, "_follow_actuators", follow)
+    monkeypatch.setattr(web_server, "_DEBUG_S", 0.01)
+
+    async def work():
+        client, tasks = Late(), []
+        control = SimpleNamespace(
+            client=lambda name: client,
+            submit=lambda coroutine: tasks.append(asyncio.ensure_future(coroutine)),
+        )
+        server = PageServer(SimpleNamespace(control=control), 0)
+        while client.asked < 4:
+            await server._watch({"robot"})
+            await asyncio.sleep(0.005)
+        client.is_open = False
+        await asyncio.gather(*tasks)
+
+    in_loop(work)
+    assert sorted(followed) == ["actuators", "sif"]
+
+
 def test_a_board_that_does_not_tell_its_actuators_is_asked_again(monkeypatch):
     asked = []
 
@@ -342,6 +388,21 @@ def test_strangers_are_refused(headers, path):
                 await session.ws_connect(server.url + "ws")  # no browser: no origin
 
     in_loop(work)
+
+
+@pytest.mark.parametrize("port", [80, 8080])
+def test_the_port_of_http_is_left_out_by_browsers(port):
+    server = PageServer(None, port)
+    refused = []
+    for host in (f"127.0.0.1:{port}", "localhost", "evil.example"):
+        request = SimpleNamespace(
+            host=host, headers={"Origin": f"http://{host}"}, match_info={"token": server._token}
+        )
+        try:
+            server._check(request)
+        except aiohttp.web.HTTPForbidden:
+            refused.append(host)
+    assert refused == ["localhost"] * (port != 80) + ["evil.example"]
 
 
 @pytest.mark.parametrize(
@@ -548,7 +609,7 @@ def test_a_page_that_does_not_read_misses_values_and_is_dropped_at_last(lines):
 
     async def work():
         socket = Blocked()
-        page = _Page(None, socket)
+        page = _Page(None, socket, None)
         task = asyncio.create_task(page.run())
         await asyncio.sleep(0)
         for _ in range(1000):
@@ -566,20 +627,51 @@ def test_a_page_that_does_not_read_misses_values_and_is_dropped_at_last(lines):
     assert codes and set(codes) == {aiohttp.WSCloseCode.TRY_AGAIN_LATER}
 
 
+async def unread(server):
+    """Open a page that reads nothing; returns what closes it."""
+    port = int(server.url.split("/")[2].split(":")[1])
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1024)
+    path = "/" + server.url.split("/", 3)[3] + "ws"
+    writer.write(
+        f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
+        f"Origin: http://127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+    )
+    assert b"101" in await reader.readline()
+    return writer
+
+
+@pytest.mark.parametrize("is_end", [True, False])
+def test_a_page_that_reads_nothing_is_let_go_also_at_the_end(kept, monkeypatch, is_end):
+    """It held the server of the page, and its place among the pages."""
+    monkeypatch.setattr(web_server, "_CLOSE_S", 0.1)
+
+    async def work():
+        async with paged(board_of()) as (_, server, _):
+            writers = [await unread(server) for _ in range(3)]
+            await until(lambda: len(server._pages) == 3)
+            thread, loop = (getattr(server._sink, name) for name in ("_thread", "_loop"))
+            line = {"op": "log", "lines": [{"text": "x" * (1 << 20)}]}
+            for _ in range(web_server._WAITING // 2 if is_end else 2 * web_server._WAITING):
+                loop.call_soon_threadsafe(server.tell, line)
+                await asyncio.sleep(0.005)
+            if is_end:
+                assert len(server._pages) == 3
+            else:
+                await asyncio.wait_for(until(lambda: not server._pages), 5)
+        assert not thread.is_alive()
+        for writer in writers:
+            writer.close()
+
+    in_loop(work)
+
+
 def test_a_page_that_reads_nothing_disturbs_nobody(kept):
     async def work():
         device = board_of()
         async with paged(device) as (session, server, bridge):
-            port = int(server.url.split("/")[2].split(":")[1])
-            reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1024)
-            path = "/" + server.url.split("/", 3)[3] + "ws"
-            writer.write(
-                f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
-                f"Origin: http://127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
-                "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-                "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
-            )
-            assert b"101" in await reader.readline()
+            writer = await unread(server)
             other = await opened(session, server)
             for value in range(300):
                 device.sense("quad", 0, value, raw=True)
