@@ -555,6 +555,70 @@ def test_each_line_of_the_log_is_shown_once_also_after_a_reconnect(shown):
     asyncio.run(work())
 
 
+def tell(bridge, name, values, **series):
+    """Have pages told of samples: of each channel times in milliseconds, each before its value."""
+    sink = bridge.runners[0].sink
+    data = {"v": values, "s": {key[1:]: points for key, points in series.items()}}
+    sink._loop.call_soon_threadsafe(sink.server.tell, {"op": "data", "d": {name: data}})
+
+
+@needs_browser
+def test_a_clock_that_went_back_hides_no_channel_behind_one_that_is_not_read(shown):
+    async def work():
+        async with shown(board_of()) as (page, bridge):
+            now, hour = 1_700_000_000_000, 3_600_000
+            tell(bridge, "quad", ["1", "1"], c0=[now + hour, 1], c1=[now + hour, 1])
+            await page.until(f"({drawn('quad')}).length > 0")
+            tell(bridge, "quad", ["4", "1"], c0=[now, 3, now + 1000, 4])
+            await page.until(f"({drawn('quad')}).some((row) => row > 0.6)", 10)
+
+    asyncio.run(work())
+
+
+@needs_browser
+def test_what_came_during_a_pause_is_drawn_after_it_also_when_no_more_comes(shown):
+    async def work():
+        async with shown(board_of()) as (page, bridge):
+            await page.run("document.getElementById('pause').click()")
+            tell(bridge, "tank/level", ["7"], c0=[1_700_000_000_000, 7])
+            await page.until(f"({text_of('tank/level')}).includes('7')")
+            assert await page.run(f"({drawn('tank/level')}).length") == 0
+            await page.run("document.getElementById('pause').click()")
+            await page.until(f"({drawn('tank/level')}).length > 0", 10)
+
+    asyncio.run(work())
+
+
+@needs_browser
+def test_a_structure_has_its_lines_also_where_there_was_none_at_first(shown):
+    item = "document.querySelector('[aria-label=\"values of tank/level\"] li')"
+
+    async def work():
+        async with shown(board_of()) as (page, bridge):
+            tell(bridge, "tank/level", ["none yet"])
+            await page.until(f"{item} !== null")
+            tell(bridge, "tank/level", ["first  12.5 m\nsecond  13.5 m"])
+            await page.until(f"{item}.innerText.split('\\n').length === 2", 10)
+
+    asyncio.run(work())
+
+
+@needs_browser
+def test_lines_of_the_log_have_the_time_of_the_place_as_plots_do(shown):
+    async def work():
+        async with shown(board_of()) as (page, bridge):
+            await page.ask("Emulation.setTimezoneOverride", timezoneId="Asia/Tokyo")
+            line = {"t": 1_700_000_000_123, "board": "robot", "kind": "x", "text": "line"}
+            sink = bridge.runners[0].sink
+            about = {"op": "log", "lines": [line]}
+            sink._loop.call_soon_threadsafe(sink.server.tell, about)
+            log = "document.getElementById('log').innerText"
+            await page.until(f"{log}.includes('line')")
+            return await page.run(log)
+
+    assert "07:13:20.123" in asyncio.run(work())  # 22:13:20 UTC
+
+
 @needs_browser
 def test_a_bool_jumps_from_one_value_to_the_other(shown):
     # Columns of the plot with a line between the rows of false and true.

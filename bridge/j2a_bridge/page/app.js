@@ -236,8 +236,11 @@ function takeData(all) {
         topic.isNew = true;
       }
       for (let at = 0; at < flat.length; at += 2) {
-        // A clock that went back begins the plot anew, as its times mean something else.
-        if (flat[at] < points.times.at(-1) - 1000) points.times.length = points.values.length = 0;
+        // A clock that went back begins the plot anew, as its times mean something else: also those of channels that
+        // were not read since, which would hold the axis in the future.
+        if (flat[at] < points.times.at(-1) - 1000) {
+          for (const one of topic.series.values()) one.times.length = one.values.length = 0;
+        }
         points.times.push(flat[at]);
         points.values.push(Math.abs(flat[at + 1]) <= GREATEST ? flat[at + 1] : null);
       }
@@ -274,8 +277,7 @@ function drawValues(topic) {
   topic.newest.forEach((text, at) => {
     if (items[at] === undefined) {
       const name = make("small", {}, topic.newest.length > 1 ? `channel ${at}` : "");
-      const isWide = text.length > 20 ? { class: "wide" } : {};
-      topic.values.append(make("li", isWide, name, make("span")));
+      topic.values.append(make("li", {}, name, make("span")));
     }
     const name = items[at].firstElementChild;
     if (topic.newest.length > 1 && name.firstElementChild === null) {
@@ -283,7 +285,9 @@ function drawValues(topic) {
       if (series >= 0) name.prepend(dot(series)); // a channel may be read later than the others
     }
     const value = items[at].lastElementChild;
-    if (value.textContent !== text) value.textContent = text;
+    if (value.textContent === text) return;
+    value.textContent = text;
+    if (text.length > 20) items[at].className = "wide"; // it may have been "none yet" at first
   });
 }
 
@@ -555,7 +559,9 @@ function takeLog({ lines, is_all: isAll }) {
   for (const line of lines) {
     if (line.number <= newestLine) continue; // it was among all lines already
     newestLine = line.number ?? newestLine;
-    const time = new Date(line.t).toISOString().slice(11, 23);
+    // As the axes of the plots: in the time of this place.
+    const offset = new Date(line.t).getTimezoneOffset();
+    const time = new Date(line.t - offset * 60_000).toISOString().slice(11, 23);
     log.append(make("li", {}, make("time", {}, time), make("b", {}, `${line.board} ${line.kind}`), line.text));
   }
   while (log.children.length > 200) log.firstElementChild.remove();
@@ -566,11 +572,13 @@ function takeLog({ lines, is_all: isAll }) {
 
 byId("span").addEventListener("change", (event) => {
   spanS = Number(event.target.value);
+  anew();
 });
 byId("pause").addEventListener("click", (event) => {
   isPaused = !isPaused;
   event.target.setAttribute("aria-pressed", String(isPaused));
   event.target.textContent = isPaused ? "Go on" : "Pause";
+  anew(); // also what has sent nothing since
 });
 byId("record").addEventListener("click", async (event) => {
   const isOn = event.target.getAttribute("aria-pressed") === "true";
@@ -579,7 +587,7 @@ byId("record").addEventListener("click", async (event) => {
 });
 const anew = () => {
   for (const topic of topics.values()) {
-    if (topic.plot) topic.isNew = topic.isDirty = true;
+    if (topic.newest) topic.isNew = topic.isDirty = true;
   }
 };
 addEventListener("resize", anew);
