@@ -969,6 +969,31 @@ def test_a_control_begins_at_the_value_that_the_actuator_has_or_is_safe(kind, ra
         assert shown == (value if isinstance(value, int) else pytest.approx(value, rel=1e-14))
 
 
+@pytest.mark.parametrize(
+    ("kind", "scale", "raw", "shown"),
+    [
+        ("i32", "1e-7", 511234567, "51.1234567"),
+        ("i32", "-1e-7", 511234567, "-51.1234567"),
+        ("u32", "0.001", 1234567891, "1234567.891"),
+        ("u32", "0.1", 3, "0.3"),
+        ("u8", "0.57", 100, "57"),
+        ("u8", "0.3333333333", 1, "0.333333"),
+        ("u32", "1000", 1234567, "1.234567e+09"),
+        ("i64", "1e-9", (1 << 53) + 1, "9007199.25474099"),
+        ("u8", "0.001", 0, "0"),
+        ("u8", "1e308", 255, "inf"),
+        ("u8", "1e-320", 1, "9.99989e-321"),
+    ],
+)
+def test_steps_of_the_raw_value_are_not_hidden(kind, scale, raw, shown):
+    topic = topic_of(f"SENSOR(s, 0, s, M, 1, {kind}, none, (scale, {scale}))")
+    size = {"8": 1, "2": 4, "4": 8}[kind[-1]]
+    span = _Span({})
+    payload = struct.pack("<Q", 1) + raw.to_bytes(size, "little", signed=kind[0] == "i")
+    span.add(update_of(topic, payload))
+    assert span.object()["v"] == [shown]
+
+
 def test_values_are_shown_with_unit_and_what_is_none_as_such():
     topic = topic_of("SENSOR(s, 0, s, M, 3, i16, -1, (unit, mV), (scale, 0.1))")
     span = _Span({})

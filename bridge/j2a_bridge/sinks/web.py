@@ -11,6 +11,7 @@ import asyncio
 import dataclasses
 import errno
 import logging
+import math
 import re
 import threading
 import time
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 __all__ = ["WebSink"]
 
 _SERIES: Final = 32
+_DIGITS: Final = 6
+_MOST_DIGITS: Final = 15
 _LOG: Final = 200
 _LINES: Final = 50
 """So many lines of the log go to pages at once."""
@@ -65,7 +68,8 @@ class _Span:
     def add(self, update: Update) -> None:
         """Take a sample in: of each series the least, the greatest and the newest are kept."""
         unit = f" {update.sample.unit}" if update.sample.unit else ""
-        kind = update.topic.transducer.type
+        sensor = update.topic.transducer
+        kind, step = sensor.type, abs(sensor.scale) if sensor.is_scaled else 0.0
         channels = self._newest
         for one in update.sample.readings:
             if one.time_us is None:
@@ -73,7 +77,7 @@ class _Span:
             elif one.value is None:
                 channels[one.channel] = "N/A"
             else:
-                channels[one.channel] = f"{_shown(one.value, kind)}{unit}"
+                channels[one.channel] = f"{_shown(one.value, kind, step)}{unit}"
         for stamp, name, value in numbers(update):
             point = stamp // _NS_PER_MS, value
             kept = self.series.get(name)
@@ -100,10 +104,16 @@ class _Span:
         return {"v": values, "s": series}
 
 
-def _shown(value: Any, kind: Type) -> str:
-    """Return a value as the page shows it, a line for each field of a structure with its unit."""
+def _shown(value: Any, kind: Type, step: float = 0.0) -> str:
+    """Return a value as the page shows it, a line for each field of a structure with its unit.
+
+    Args:
+        value: of a reading.
+        kind: its type.
+        step: between two values that follow each other; 0 for none that is known.
+    """
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return f"{value:.{_digits(value, step)}g}"
     if hasattr(value, "_asdict") and isinstance(kind.element, Structure):
         lines = []
         for field, one in zip(kind.element.fields, value, strict=True):
@@ -112,6 +122,14 @@ def _shown(value: Any, kind: Type) -> str:
     if isinstance(value, list | tuple):
         return "  ".join(_shown(one, kind) for one in value)
     return plain(value)
+
+
+def _digits(value: float, step: float) -> int:
+    """Return how many digits are shown: six, more where these hide steps, as of degrees of GPS."""
+    if not step or not value or not math.isfinite(value):
+        return _DIGITS
+    needed = 1 + math.floor(math.log10(abs(value))) + math.ceil(-math.log10(step))
+    return min(max(_DIGITS, needed), _MOST_DIGITS)
 
 
 def _control(topic: Topic) -> dict[str, Any]:
