@@ -531,6 +531,41 @@ def test_a_problem_stays_and_is_said_once(shown, monkeypatch):
     asyncio.run(work())
 
 
+async def reconnect(page, sink):
+    """Have the server close a page, and wait until it is back."""
+
+    async def drop():
+        for one in list(sink.server._pages):
+            await one.end(aiohttp.WSCloseCode.GOING_AWAY)
+
+    asyncio.run_coroutine_threadsafe(drop(), sink._loop)
+    await page.until("document.getElementById('link').textContent !== 'connected'")
+    await page.until("document.getElementById('link').textContent === 'connected'")
+
+
+@needs_browser
+def test_functions_are_asked_for_again_after_a_reconnect(shown, monkeypatch):
+    """The board may have become another one meanwhile."""
+    orders, asked = web_server._ORDERS, []
+    real = orders["functions"]
+
+    async def counted(sink, about):
+        asked.append(about)
+        return await real(sink, about)
+
+    monkeypatch.setitem(orders, "functions", counted)
+
+    async def work():
+        async with shown(board_of()) as (page, bridge):
+            await page.until("document.querySelector('.badge').textContent !== ''")
+            assert len(asked) == 1
+            await reconnect(page, bridge.runners[0].sink)
+            async with asyncio.timeout(20):
+                await until(lambda: len(asked) == 2)
+
+    asyncio.run(work())
+
+
 @needs_browser
 def test_each_line_of_the_log_is_shown_once_also_after_a_reconnect(shown):
     shown_lines = "document.getElementById('log').innerText.split('once').length - 1"
@@ -540,14 +575,7 @@ def test_each_line_of_the_log_is_shown_once_also_after_a_reconnect(shown):
             sink = bridge.runners[0].sink
             sink.note("robot", "x", "once")
             await page.until(f"{shown_lines} > 0")
-
-            async def drop():
-                for one in list(sink.server._pages):
-                    await one.end(aiohttp.WSCloseCode.GOING_AWAY)
-
-            asyncio.run_coroutine_threadsafe(drop(), sink._loop)
-            await page.until("document.getElementById('link').textContent !== 'connected'")
-            await page.until("document.getElementById('link').textContent === 'connected'")
+            await reconnect(page, sink)
             sink.note("robot", "x", "last")
             await page.until("document.getElementById('log').innerText.includes('last')")
             assert await page.run(shown_lines) == 1
