@@ -767,6 +767,18 @@ def test_a_recording_that_fails_ends_and_is_not_begun_again(tmp_path, monkeypatc
     sink.close()
 
 
+def test_a_recording_goes_on_in_another_file_where_the_server_is_started_anew(tmp_path):
+    sink = WebSink("", {"folder": str(tmp_path), "token": ""}, None)
+    sink.want_recording(True)
+    paths = []
+    for _ in range(2):
+        sink.status(Status("host"))
+        assert sink.state()["problem"] == ""
+        paths.append(sink.state()["recording"])
+        sink.close()  # as the bridge does before it opens a sink again that has failed
+    assert len(set(paths)) == len(list(tmp_path.iterdir())) == 2
+
+
 def test_sifs_and_debug_text_are_in_the_log():
     async def work():
         device = board_of()

@@ -191,7 +191,7 @@ class WebSink(Sink):
         self._noted = 0
         self._has_changed = False
         self._recorder: McapSink | None = None
-        self._wanted: str | None = None
+        self._is_wanted = False
         self._problem = ""
         self.actuators = ActuatorValues()
         self.reports: Sequence[Run] = ()
@@ -290,10 +290,10 @@ class WebSink(Sink):
         if self._thread is not None and not self._thread.is_alive():
             raise SinkError("the page is served no more; it is served anew")
         self._status = status
-        wanted = self._wanted
-        if wanted is not None and self._recorder is None:
-            self._begin_recording(wanted)
-        elif wanted is None and self._recorder is not None:
+        is_wanted = self._is_wanted
+        if is_wanted and self._recorder is None:
+            self._begin_recording()
+        elif not is_wanted and self._recorder is not None:
             self._end_recording()
         self.flush()
         loop = self._loop
@@ -363,21 +363,20 @@ class WebSink(Sink):
 
     def want_recording(self, is_wanted: bool) -> None:
         """Begin or end a recording, with the next state at the latest."""
-        if is_wanted and self._wanted is None:
-            name = datetime.now().strftime("j2a-%Y%m%d-%H%M%S-%f.mcap")
-            self._wanted = str(Path(self.options["folder"]) / name)
-        elif not is_wanted:
-            self._wanted = None
+        self._is_wanted = is_wanted
 
     # ------------------------------------------------------------------ recordings
 
-    def _begin_recording(self, path: str) -> None:
+    def _begin_recording(self) -> None:
+        # Of a name that is new: after the server has failed, the file of before is there.
+        name = datetime.now().strftime("j2a-%Y%m%d-%H%M%S-%f.mcap")
+        path = str(Path(self.options["folder"]) / name)
         defaults = {name: option.default for name, option in McapSink.OPTIONS.items()}
         try:
             recorder = McapSink(path, defaults, self.control)
             recorder.open()
         except (LocalError, OSError, SinkError) as error:
-            self._wanted, self._problem = None, f"no recording: {error}"
+            self._is_wanted, self._problem = False, f"no recording: {error}"
             return
         with self._lock:
             topics = list(self._topics.values())
@@ -393,7 +392,7 @@ class WebSink(Sink):
             work(self._recorder)
         except (OSError, SinkError) as error:
             self._problem = f"the recording ended: {error}"
-            self._wanted = None
+            self._is_wanted = False
             self._end_recording()
 
     def _end_recording(self) -> None:
