@@ -358,7 +358,8 @@ class _Page:
             try:
                 await asyncio.wait_for(self._socket.close(code=code), _CLOSE_S)
             except TimeoutError:
-                self._transport.abort()
+                if self._transport is not None:  # else the connection has gone already
+                    self._transport.abort()
 
     async def run(self) -> None:
         """Take orders until the page is closed."""
