@@ -1,12 +1,12 @@
 """Settings that stay without power: over resets, other firmware, damage, a reset at any byte."""
 
 import itertools
-import os
 import resource
 import shlex
 from functools import cache
 from pathlib import Path
 
+import j2a_transports
 import pytest
 from j2a_sim import AvrSim
 from j2a_spec import constants as c
@@ -51,13 +51,6 @@ def image(build_firmware, tmp_path_factory):
         return build_firmware("app", port, APP_DIR=folder, OPTIONS=options, **variables)
 
     return build
-
-
-def running(program):
-    """The process of ours that runs a program."""
-    ours = Path(f"/proc/self/task/{os.getpid()}/children").read_text("ascii").split()
-    (pid,) = [pid for pid in ours if Path(f"/proc/{pid}/exe").readlink() == program]
-    return int(pid)
 
 
 class Chip:
@@ -299,11 +292,12 @@ class TestPosix:
         monkeypatch.setenv("J2A_KEPT", str(tmp_path / "kept"))
         program = image("posix")
         script = f"trap '' XFSZ; exec {shlex.quote(str(program))}"
-        with j2a.connect(f"exec:sh -c {shlex.quote(script)}") as board:
+        transport = j2a_transports.open(f"exec:sh -c {shlex.quote(script)}")
+        with j2a.Client(transport) as board:
             tuned = board.transducers["tuned"]
             tuned.configure(period=0.5)
             tuned.save()
-            pid = running(program)
+            pid = transport.child.process.pid
             no_byte, no_limit = (2, resource.RLIM_INFINITY), (resource.RLIM_INFINITY,) * 2
             resource.prlimit(pid, resource.RLIMIT_FSIZE, no_byte)
             tuned.configure(period=0.25)
