@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from j2a_bridge.sink import NotTaken, Sink, SinkError, SinkStatus, Status, Update
+from j2a_bridge.sink import NotTaken, Sink, SinkError, SinkStatus, Status, Update, words_of
 from j2a_bridge.topics import Topic
 
 __all__ = ["SinkRunner"]
@@ -307,7 +307,7 @@ class SinkRunner:
 
     def _fail(self, error: Exception) -> None:
         is_expected = isinstance(error, SinkError | OSError)
-        what = _words(error) if is_expected else f"{type(error).__name__}: {error}"
+        what = words_of(error) if is_expected else f"{type(error).__name__}: {error}"
         self.problem = what or type(error).__name__
         if self.problem != self._told:
             self._told = self.problem
@@ -329,10 +329,3 @@ class SinkRunner:
         self._is_open = False
         with contextlib.suppress(Exception):
             self.sink.close()
-
-
-def _words(error: Exception) -> str:
-    """Return what an expected error says, without the number that Python has before it."""
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return str(error)

@@ -38,6 +38,13 @@ _NS_PER_US: Final = 1000
 _PORTS: Final = 1 << 16
 
 
+def words_of(error: Exception) -> str:
+    """Return what an expected error says, without the number that Python has before it."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
+
+
 def port_of(text: str) -> int | None:
     """Return the port that an argument names in decimal digits; None where it names none."""
     # Python reads thousands of digits as no number, by an error of its own.

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Final
 from j2a import LocalError
 from j2a.cli.plugin import json_of, transducer_facts
 from j2a_bridge.json_values import finite
-from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update, port_of
+from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update, port_of, words_of
 from j2a_bridge.topics import Topic, plain_name
 
 __all__ = ["MqttSink", "sample_object", "transducer_object"]
@@ -118,8 +118,7 @@ class MqttSink(Sink):
         try:
             client.connect(self._host, self._port, keepalive=15)
         except (OSError, UnicodeError) as error:  # the latter for what is no name of a host
-            why = getattr(error, "strerror", None) or error
-            raise SinkError(f"no broker answers at {where}: {why}") from None
+            raise SinkError(f"no broker answers at {where}: {words_of(error)}") from None
         client.loop_start()
         self._client = client
         if not self._connected.wait(_WAIT_S):
