@@ -13,7 +13,7 @@ from j2a.errors import LocalError
 from j2a.events import Sample
 from j2a.types.model import Enumeration, Structure, Type
 from j2a.types.naming import free_name
-from j2a.types.transducers import LOST_BYTES, Transducer, number_element, numbers_element
+from j2a.types.transducers import LOST_BYTES, Transducer, number_element
 
 __all__ = ["Batch"]
 
@@ -66,14 +66,17 @@ class Batch:
         if sensor.queue:
             entry = np.dtype([("channel", "u1"), *entry.descr])
             parts = [payload[LOST_BYTES:] for payload in parts]
-        data = b"".join(parts)
-        self.counts: Any = np.array([len(one) // entry.itemsize for one in parts], dtype="i8")
-        try:
-            table = np.frombuffer(data, entry)
-            if not sensor.queue:
-                table = table.reshape(-1, sensor.channels)
-        except ValueError as error:
-            raise LocalError(f"{sensor.name}: {error}") from None
+        sizes = np.array([len(one) for one in parts], dtype="i8")
+        self.counts: Any = sizes // entry.itemsize
+        # Each is looked at: two wrong ones may be as long as two right ones.
+        is_right = self.counts >= 1 if sensor.queue else self.counts == sensor.channels
+        is_right &= sizes % entry.itemsize == 0
+        if not is_right.all():
+            wrong = int(is_right.argmin())
+            raise LocalError(f"{sensor.name}: payload {wrong} is no sample by its length")
+        table = np.frombuffer(b"".join(parts), entry)
+        if not sensor.queue:
+            table = table.reshape(-1, sensor.channels)
         self.times_us: Any = table["time_us"]
         self.raw: Any = table["raw"]
         if sensor.queue:
@@ -104,7 +107,7 @@ class Batch:
         """
         np = _module("numpy", "arrays")
         sensor = self.sensor
-        if number_element(sensor.type) is None and numbers_element(sensor.type) is None:
+        if number_element(replace(sensor.type, count=None)) is None:
             raise LocalError(f"{sensor.name} has values of type {sensor.type}: see raw")
         values = self.raw.astype("f8")
         if sensor.is_scaled:

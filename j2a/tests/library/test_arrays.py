@@ -156,6 +156,34 @@ def test_a_payload_that_is_no_sample():
     assert Batch(SENSORS["quad"], []).raw.shape == (0, 2)
 
 
+@pytest.mark.parametrize(
+    ("name", "sizes"),
+    [
+        ("quad", (4, 36)),
+        ("quad", (10, 10)),
+        ("quad", (40,)),
+        ("log", (2 + 4, 2 + 30)),
+        ("log", (2 + 17, 2)),
+        ("log", (2 + 17, 1)),
+    ],
+)
+def test_payloads_that_are_samples_only_together(name, sizes):
+    with pytest.raises(j2a.LocalError, match=rf"{name}: payload \d is no sample"):
+        Batch(SENSORS[name], [bytes(size) for size in sizes])
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [("bool, 3", [1, 0, 1]), ("mode, 3", [1, 0, 1]), ("u8, 3", [1, 0, 1])],
+)
+def test_values_of_arrays_are_numbers(kind, values):
+    text = f"J2A_ENUM(mode, u8, (off, 0), (run, 1))SENSOR(a, 1, a, X, 2, array({kind}), none)"
+    [sensor] = read_transds(text).transducers
+    found = Batch(sensor, [struct.pack("<Q3BQ3B", 5, 1, 0, 1, 0, 1, 1, 1)]).values
+    assert found[0, 0].tolist() == values
+    assert np.isnan(found[0, 1]).all()
+
+
 def test_samples_of_a_board():
     sample = j2a.Sample("x:", "quad", 0, (), 0.0, payload=struct.pack("<QhQh", 5, 7, 6, -1))
     batch = Batch.of(FILE["quad"], [sample, sample])
