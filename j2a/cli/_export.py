@@ -186,7 +186,7 @@ def _parquet(path: Path) -> _Writer:
             schema = schema.set(at, schema.field(at).with_metadata({"unit": unit}))
         if not writers:
             writers.append(parquet.ParquetWriter(file, schema))
-        writers[0].write_table(table.cast(schema))
+        writers[0].write_table(table.cast(writers[0].schema))
 
     def close() -> None:
         for writer in writers:

@@ -129,9 +129,10 @@ class Batch:
         without scale and offset, those of enumerations and `bool` stay what they are, `pandas.NA`
         where there is none. The columns of a structure are its fields, and those of an array have
         numbers, such as rate_0, rate_1; those of a structure are raw, and so are those of an array
-        without scale and offset, with NaN or, among whole numbers, `pandas.NA` for a channel
-        without a value. A name that is there already gets a number, such as time_us2.
-        `attrs["units"]` of the table has the units of columns.
+        without scale and offset, with NaN or, among whole numbers and `bool`, `pandas.NA` for a
+        channel without a value; the type of a column does not depend on these. A name that is
+        there already gets a number, such as time_us2. `attrs["units"]` of the table has the units
+        of columns.
 
         Raises:
             LocalError: pandas is missing.
@@ -201,12 +202,13 @@ def _columns(name: str, values: Any, kind: Type) -> Iterator[tuple[str, Any, str
 
 
 def _with_gaps(pandas: Any, values: Any, is_none: Any) -> Any:
-    """Return a column that has no value where `is_none` says so; whole numbers stay whole."""
-    if not is_none.any():
-        return values
+    """Return a column that has no value where `is_none` says so; whole numbers stay whole.
+
+    Its type is the same one where there are no gaps, as tables may be written piece by piece.
+    """
     kind, bits = values.dtype.kind, 8 * values.dtype.itemsize
     if kind == "f":
-        column = values.astype("f8")
+        column = values.copy()
         column[is_none] = math.nan
         return column
     names = {"b": "boolean", "i": f"Int{bits}", "u": f"UInt{bits}"}

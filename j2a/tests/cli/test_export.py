@@ -148,6 +148,30 @@ def test_a_long_recording_is_written_piece_by_piece(run, path, tmp_path, monkeyp
     assert len(list(pieces.iterdir())) == len(SAMPLES)
 
 
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+@pytest.mark.parametrize("first_us", [1, 0])
+def test_pieces_with_and_without_gaps_make_one_table(run, tmp_path, monkeypatch, form, first_us):
+    monkeypatch.setattr(_export, "_PIECE", 2)
+    path, out = tmp_path / "drive.mcap", tmp_path / "out"
+    sensors = read_transds(
+        "J2A_STRUCT(s, (f32, x), (u8, n), (bool, up))\nSENSOR(t, 0, t, X, 2, s, none)"
+    )
+    with Recorder(path) as recorder:
+        recorder.add_board("b", sensors)
+        for time_us in (first_us, 2, 3, 4, 1 - first_us, 6):  # at 0 a channel has no value
+            payload = struct.pack("<Qf2BQf2B", time_us, 0.1, 1, 1, 7, 0.1, 2, 0)
+            recorder.write("b", j2a.Sample("b", "t", 0, (), 0.0, payload=payload), NOW_NS)
+    assert run("export", path, out, "--format", form).code == 0
+    if form == "csv":
+        rows = [line.split(",", 3)[3] for line in (out / "b_t.csv").read_text().splitlines()]
+        assert sorted(set(rows)) == ["0.1,1,True", "0.1,2,False", "x,n,up"]
+        assert len(rows) == 1 + 11
+    else:
+        table = pytest.importorskip("pyarrow.parquet").read_table(out / "b_t.parquet")
+        assert [str(one) for one in table.schema.types[3:]] == ["float", "uint8", "bool"]
+        assert table.num_rows == 11
+
+
 def test_what_boards_are_called_stays_in_the_folder(run, tmp_path):
     path, out = tmp_path / "odd.mcap", tmp_path / "out"
     sensors = read_transds("SENSOR(quad, 0, quad, X, 1, u8, none)")

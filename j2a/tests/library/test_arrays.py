@@ -122,6 +122,7 @@ def test_a_channel_without_a_value_has_none_in_a_table(types, kind, code, names)
         assert table[name][1] == (0.5 if sensor.is_scaled else 1)
     full = Batch(sensor, [payload.replace(bytes(8) + nothing, struct.pack("<Q", 7) + one)])
     assert not full.to_pandas().isna().any(axis=None)
+    assert full.to_pandas().dtypes.equals(table.dtypes)
 
 
 def test_a_table_has_the_units_of_its_columns():
