@@ -2,9 +2,10 @@
 
 What flows in: a file, which may be cut off, damaged or made to do harm. What flows out: its
 records, one at a time.
-Rules: no more memory than one chunk takes, whatever a file says of itself; what is damaged is left
-out and noted, and what stands behind it is read. Chunks that zstd or lz4 compressed need packages
-that come with mcap (`pip install "j2a[record]"`).
+Rules: no more memory than one chunk takes, and work in proportion to the length of the file,
+whatever it says of itself; what is damaged is left out and noted, and what stands behind it is
+read. Chunks that zstd or lz4 compressed need packages that come with mcap
+(`pip install "j2a[record]"`).
 """
 
 import struct
@@ -32,6 +33,8 @@ _PIECE_BYTES: Final = 1 << 16
 _MOST: Final = {_FOOTER: 1 << 10, _DATA_END: 1 << 10, _CHANNEL: 1 << 20, _METADATA: 1 << 20}
 _MOST_BYTES: Final = 1 << 26
 """Of a message, and of a chunk before and after its compression."""
+_MOST_TIMES: Final = 512
+"""So much longer a chunk may be than its compression; the dullest samples come to 140 times."""
 _LATEST_NS: Final = 1 << 63
 """Times fit into a signed number, as tables and messages of others have them."""
 
@@ -190,8 +193,8 @@ def _in_chunk(content: bytes) -> Iterator[_Record]:
     _, _, size, crc = _CHUNK_HEAD.unpack(fields.take(_CHUNK_HEAD.size))
     compression = fields.text()
     packed = fields.take(fields.number(8))
-    if size > _MOST_BYTES:
-        raise _DamagedError(f"a chunk has {size} bytes")
+    if size > min(_MOST_BYTES, _MOST_TIMES * len(packed)):
+        raise _DamagedError(f"a chunk has {size} bytes, and {len(packed)} of compression")
     data = _unpacked(compression, packed, size)
     if len(data) != size:
         raise _DamagedError("a chunk does not have the length that it says")
@@ -199,6 +202,8 @@ def _in_chunk(content: bytes) -> Iterator[_Record]:
     records = _Fields(data)
     while not records.is_over:
         opcode, length = _HEAD.unpack(records.take(_HEAD.size))
+        if opcode == 0:
+            raise _DamagedError("a chunk has a part without a record")
         one = records.take(length)
         if opcode in (_CHANNEL, _MESSAGE):
             yield _record(opcode, one)

@@ -111,6 +111,10 @@ def test_a_chunk_that_unpacks_to_very_much_is_left_out(path, name):
     assert most < MOST_BYTES
 
 
+EMPTY = record(0x77, b"") * 100_000
+"""Work for a second, in 100 bytes of a file."""
+
+
 @pytest.mark.parametrize(
     "bad",
     [
@@ -134,6 +138,8 @@ def test_a_chunk_that_unpacks_to_very_much_is_left_out(path, name):
         chunk(record(0x05, bytes(5))),
         chunk(struct.pack("<BQ", 5, 1 << 60)),
         chunk(struct.pack("<BQ", 5, 1)[:5]),
+        chunk(bytes(18)),
+        pytest.param(chunk(EMPTY, "zstd", packed=zstandard.compress(EMPTY)), id="empty records"),
         record(0x06, bytes(10)),
         record(0x06, struct.pack("<QQQI", 0, 0, 1, 0) + text("") + struct.pack("<Q", 1 << 63)),
     ],
@@ -155,6 +161,14 @@ def test_what_is_of_no_use_is_no_damage(path):
         channel(11, sensor="none") + channel(12, sensor="quad", name=""),
     ]
     assert read(path, GOOD, *others, chunk(message())) == ([bytes(20)] * 2, "")
+
+
+@pytest.mark.parametrize("pack", [zstandard.compress, lz4.frame.compress])
+def test_samples_that_hardly_differ_are_no_bomb(path, pack):
+    many = b"".join(message(bytes(20), time_ns=1 + number) for number in range(20_000))
+    name = "zstd" if pack is zstandard.compress else "lz4"
+    found, why = read(path, GOOD, chunk(many, name, packed=pack(many)))
+    assert (len(found), why) == (1 + 20_000, "")
 
 
 def test_boards_without_end_do_not_fill_the_memory(path):
