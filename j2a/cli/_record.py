@@ -79,7 +79,7 @@ class _Session:
     def __init__(self, recorder: Recorder) -> None:
         self.recorder = recorder
         self._lock = threading.Lock()  # each board has a thread of its own
-        self.lost = 0
+        self.lost = 0  # on the boards; what was lost on the way a `_Board` has
         self.refused = 0
         self.told: set[str] = set()  # what else is to be told at the end
         self.failure: OSError | None = None
@@ -94,7 +94,7 @@ class _Session:
             nonlocal announced
             if self.failure is not None:
                 return
-            lost = sample.lost + sample.missed
+            lost = sample.lost
             with self._lock:
                 self.lost += lost
             descriptor = sensor.descriptor
@@ -147,6 +147,7 @@ class _Board:
         self.is_gone = False
         self.gaps = self.dropped = 0
         self._closed: j2a.Client | None = None
+        self._missed, self._watched, self._missed_before = 0, client, 0
         self._gap_s = 0.0  # of those that are over
         self._gone_s = 0.0
 
@@ -165,6 +166,9 @@ class _Board:
         start_thread(self._keep, f"j2a record {client.url}")
 
     def _subscribe(self) -> None:
+        client = self._client
+        self._missed, self._watched = self.missed, client
+        self._missed_before = client.counters.sifs_missed
         known = {one.name: one for one in self._descriptors.transducers if one.is_sensor}
         for name, sensor in self._client.transducers.items():
             if isinstance(sensor, j2a.Sensor) and name in known:
@@ -185,6 +189,11 @@ class _Board:
             self._session.told.add(f"{name} of {self._name} is new: its samples were left out")
         for name in before - names:
             self._session.told.add(f"{name} of {self._name} is gone since the board restarted")
+
+    @property
+    def missed(self) -> int:
+        """SIFs of any kind that were lost on the way; a sample tells of the last of them only."""
+        return self._missed + self._watched.counters.sifs_missed - self._missed_before
 
     @property
     def gap_s(self) -> float:
@@ -361,8 +370,13 @@ def _wait(
         elif time.monotonic() - here >= wait_s:
             return LINK
         recorder = session.recorder
-        more = f"{recorder.samples} samples  {size_text(recorder.size)}  {session.lost} lost"
+        lost = _lost(session, boards)
+        more = f"{recorder.samples} samples  {size_text(recorder.size)}  {lost} lost"
         progress(time.monotonic() - start, seconds, more)
+
+
+def _lost(session: _Session, boards: list[_Board]) -> int:
+    return session.lost + sum(board.missed for board in boards)
 
 
 def _finish(session: _Session, boards: list[_Board]) -> None:
@@ -384,7 +398,8 @@ def _finish(session: _Session, boards: list[_Board]) -> None:
         raise CommandFailed(f"{why}: what was written before is in {paths}", FAILED)
     gaps, gap_s = (sum(getattr(board, key) for board in boards) for key in ("gaps", "gap_s"))
     more = f", and a board was away {gaps} time{'s' * (gaps > 1)}, {gap_s:.1f} s" if gaps else ""
-    show(f"wrote {paths}: {recorder.samples} samples, {session.lost} lost on the way{more}")
+    lost = _lost(session, boards)
+    show(f"wrote {paths}: {recorder.samples} samples, {lost} lost on the way{more}")
     if session.refused:
         note(f"j2a: {session.refused} samples were left out: their times fit into no message")
     if dropped := sum(board.dropped for board in boards):

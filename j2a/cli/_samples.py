@@ -96,7 +96,8 @@ def rounded(facts: Facts) -> Facts:
 class _Rate:
     """What was seen of one sensor: of all its samples, or of so many last ones."""
 
-    def __init__(self, last: int | None = None) -> None:
+    def __init__(self, last: int | None = None, gone: int | None = None) -> None:
+        self.gone = gone  # as the last sample told, in whichever span of time
         self.host_s: deque[float] = deque(maxlen=last)
         self.device_s: deque[float] = deque(maxlen=last)
         self.true_s: deque[float] = deque(maxlen=last)
@@ -106,7 +107,10 @@ class _Rate:
 
     def add(self, sample: j2a.Sample, came_us: float, error_us: float, *, is_doubted: bool) -> None:
         self.lost += sample.lost
-        self.missed += sample.missed
+        # A SIF of another kind may have come behind a gap, and then it tells of it.
+        gone = 0 if self.gone is None else sample.gone - self.gone
+        self.missed += max(sample.missed, gone)
+        self.gone = sample.gone
         if sample.is_reset:  # times before it are of another count
             self.host_s.clear()
             self.device_s.clear()
@@ -187,7 +191,8 @@ class Rates:
 
     def take(self) -> dict[str, Facts]:
         """Return for each sensor what was seen of it since the last time; a new span begins."""
-        rates, self._rates = self._rates, {name: _Rate(self._last) for name in self._rates}
+        rates = self._rates
+        self._rates = {name: _Rate(self._last, rate.gone) for name, rate in rates.items()}
         is_relative = any(rate.is_relative for rate in rates.values())
         return {name: rate.facts(is_relative=is_relative) for name, rate in rates.items()}
 

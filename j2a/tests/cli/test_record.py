@@ -191,6 +191,33 @@ def test_losses_of_several_boards_are_all_counted():
     assert session.lost == 6
 
 
+def test_losses_are_counted_that_only_a_sif_of_another_kind_tells(run, tmp_path, monkeypatch):
+    device = j2a.Device(transducers=read_transds(FILE_BEFORE))
+    write, is_written = Recorder.write, threading.Event()
+
+    def write_and_tell(*words):
+        is_written.set()
+        write(*words)
+
+    def send():
+        while not is_written.wait(0.05):
+            device.send_sif(1, SAME)
+        [connection] = device._connections
+        for _ in range(3):
+            connection._server.skip_sif()
+        device.send_sif(200)
+        device.send_sif(1, BURST)
+
+    monkeypatch.setattr(Recorder, "write", write_and_tell)
+    thread = threading.Thread(target=send)
+    thread.start()
+    for url in served(device):
+        result = run("record", url, "-o", tmp_path / "a.mcap", "--seconds", "1")
+    thread.join()
+    assert payloads(tmp_path / "a.mcap").count(("same", BURST)) == 1
+    assert " samples, 3 lost on the way" in result.out
+
+
 def test_a_sensor_that_is_another_one_after_a_restart_is_left_out(tmp_path):
     device = j2a.Device(transducers=read_transds(FILE_BEFORE), boot=True)
     path = tmp_path / "a.mcap"

@@ -227,6 +227,16 @@ def test_rates():
     assert rate_text(name, facts).split() == ["quad", "0", "-", "-", "-", "-", "0", "0"]
 
 
+def test_a_gap_of_which_a_sif_of_another_kind_tells_is_counted():
+    rates, last = Rates(), Rates(LAST)
+    for gone, missed, expected in ((4, 1, 1), (4, 0, 0), (7, 0, 3), (9, 2, 2)):
+        one = sample((0, 5, 1, 1), gone=gone, missed=missed)
+        rates.add(one, 0)
+        last.add(one, 0)
+        assert rates.take()["quad"]["missed"] == expected
+    assert last.facts("quad")["missed"] == 6
+
+
 def test_delays_are_true_where_the_clock_is_known():
     rates = Rates()
     for late_us in (700, 900, 400):
