@@ -12,7 +12,7 @@ from typing import Final
 
 import j2a
 from j2a.cli._exit import UsageError
-from j2a.cli._values import is_payload_word, payload_of
+from j2a.cli._values import finite_or_said, is_payload_word, payload_of
 from j2a.types.model import INTEGERS, Element, Enumeration, Field, Structure
 
 VALUES_HELP: Final = """\
@@ -68,7 +68,7 @@ def _value(field: Field, word: str) -> object:
         if field.type.count is None and not isinstance(element, Structure):
             return _scalar(element, word)
         if word[:1] in ("[", "{"):
-            return json.loads(word)
+            return json.loads(word, parse_float=finite_or_said)
         parts = word.split(",") if word else []
         if not isinstance(element, Structure):
             return [_scalar(element, part) for part in parts]
@@ -80,7 +80,7 @@ def _value(field: Field, word: str) -> object:
         return [
             _scalar(one.type.element, part) for one, part in zip(element.fields, parts, strict=True)
         ]
-    except (ValueError, RecursionError) as error:
+    except (ValueError, OverflowError, RecursionError) as error:
         raise UsageError(f"{word!r:.200} is no value of {field}: {error}") from None
 
 
@@ -95,7 +95,7 @@ def _scalar(element: Element, word: str) -> object:
         return _BOOLS[word.lower()]
     if element not in INTEGERS:
         try:
-            return float(word)
+            return finite_or_said(word)
         except ValueError:
             raise ValueError("write a number, such as 1.5") from None
     try:

@@ -7,6 +7,7 @@ Rules: numbers are little endian, as J2A's own fields are; a word that cannot be
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 import sys
@@ -117,13 +118,26 @@ def _number(kind: str, text: str, word: str) -> bytes:
     code = NUMBER_CODES[kind]
     try:
         if kind.startswith("f"):
-            return struct.pack("<" + code, float(text))
+            return struct.pack("<" + code, finite_or_said(text))
         return struct.pack("<" + code, int(text, 0))
     except (struct.error, OverflowError):
         raise UsageError(f"{word!r}: {text} does not fit {_range(kind)}") from None
     except ValueError:
         what = "a number" if kind.startswith("f") else "a whole number (decimal, 0x, 0b or 0o)"
         raise UsageError(f"{word!r}: {text!r} is not {what}") from None
+
+
+def finite_or_said(text: str) -> float:
+    """Return the number of a text, which is infinite only where the text says so, as in -inf.
+
+    Raises:
+        ValueError: it is no number.
+        OverflowError: it is larger than any.
+    """
+    number = float(text)
+    if math.isinf(number) and "inf" not in text.lower():
+        raise OverflowError(f"{text:.40} is beyond the numbers of an f64")
+    return number
 
 
 def _range(kind: str) -> str:
