@@ -23,7 +23,7 @@ class Board:
 
     def __init__(self, dropped=0):
         self.time_s, self.is_open, self.fails, self.asked = 100.0, True, None, 0
-        self.counters = SimpleNamespace(frames_received=5, sifs_dropped=dropped)
+        self.counters = SimpleNamespace(frames_received=5, sifs_dropped=dropped, sifs_missed=0)
         self.properties = {}
         self.transducers = _Sensors()
 
@@ -116,17 +116,19 @@ def test_a_link_that_ended_needs_no_silence(board, pulse):
 
 
 def test_what_all_links_of_a_board_lost_adds_up(board, monkeypatch):
-    """Times away, also the one that goes on, and SIFs for which the program was too slow."""
+    """Times away, also the one that goes on, and SIFs that were lost or came too fast."""
     times = SimpleNamespace(monotonic=lambda: times.now, now=0.0)
     monkeypatch.setattr(_record, "time", times)
     monkeypatch.setattr(_record, "_EACH_S", 0.0)
     links = [Board(dropped=20), Board(dropped=300)]
+    links[0].counters.sifs_missed = 1000  # before its samples were asked for
     session = SimpleNamespace(ended=threading.Event(), told=set())
     board.counters.sifs_dropped = 1
     recorded = _record._Board(session, board, "b", iter(links).__next__)
     spans = (board, 4.0, 10.0), (links[0], 0.5, 200.0), (links[1], 0.0, 3000.0)
     for link, hidden_s, away_s in spans:
         link.call = lambda _, link=link, seconds=hidden_s: _lose(link, seconds)
+        link.counters.sifs_missed += 7
         link.is_open = False
         assert recorded._wait_for_loss() == "lost there"
         recorded.close()
@@ -137,6 +139,7 @@ def test_what_all_links_of_a_board_lost_adds_up(board, monkeypatch):
     assert recorded.gaps == 3
     assert recorded.gap_s == 3000.0 + 200.0 + 0.5 + 10.0 + 4.0
     assert recorded.dropped == 321
+    assert recorded.missed == 3 * 7
 
 
 def _lose(link, seconds):
