@@ -12,8 +12,8 @@ from typing import Final
 
 import j2a
 from j2a.cli._exit import UsageError
-from j2a.cli._values import finite_or_said, is_payload_word, payload_of
-from j2a.types.model import INTEGERS, Element, Enumeration, Field, Structure
+from j2a.cli._values import finite_or_said, is_payload_word, payload_of, shortest_f32
+from j2a.types.model import INTEGERS, Element, Enumeration, Field, Structure, Type
 
 VALUES_HELP: Final = """\
 values, one for each parameter of a function that the device describes:
@@ -125,18 +125,29 @@ def lines_of(function: j2a.Function, result: object) -> list[str]:
     if not results:
         return []
     if len(results) == 1 and not results[0].name:
-        return [plain(result)]
+        return [plain(result, results[0].type)]
     assert isinstance(result, tuple)
     width = max(len(field.name) for field in results)
-    return [f"{f.name:<{width}}  {plain(v)}" for f, v in zip(results, result, strict=True)]
+    return [f"{f.name:<{width}}  {plain(v, f.type)}" for f, v in zip(results, result, strict=True)]
 
 
-def plain(value: object) -> str:
-    """Return a value as people read it."""
+def plain(value: object, kind: Type | None = None) -> str:
+    """Return a value as people read it; where its type is known, f32 without needless digits."""
     if isinstance(value, str):
         return value
     if isinstance(value, bytes):
         return value.hex(" ")
     if isinstance(value, IntEnum):
         return value.name
-    return json.dumps(json_of(value))
+    shown = json_of(value)
+    return json.dumps(shown if kind is None else _short(shown, kind))
+
+
+def _short(value: object, kind: Type) -> object:
+    """Leave out the digits of JSON that an f32 has as an f64 only."""
+    if isinstance(value, list):
+        return [_short(one, kind) for one in value]
+    if isinstance(value, dict) and isinstance(kind.element, Structure):
+        fields = zip(value.items(), kind.element.fields, strict=True)
+        return {name: _short(one, field.type) for (name, one), field in fields}
+    return shortest_f32(value) if kind.element == "f32" and isinstance(value, float) else value

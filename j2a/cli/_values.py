@@ -17,6 +17,7 @@ from typing import BinaryIO, Final
 
 from j2a.cli._exit import UsageError
 from j2a.types.coding import NUMBER_CODES
+from j2a.types.transducers import rounded
 
 PAYLOAD_HELP: Final = """\
 payload words, put one after the other:
@@ -140,6 +141,21 @@ def finite_or_said(text: str) -> float:
     return number
 
 
+def shortest_f32(number: float) -> float:
+    """Return the number of the fewest digits that is the same f32, as 0.1 is."""
+    found = (float(f"{number:.{digits}g}") for digits in range(1, 10))
+    return next((one for one in found if rounded("f32", one) == number), number)
+
+
+class _F32(float):
+    """An f32, of which people see the digits that matter; its `repr`, and so JSON, has all."""
+
+    __slots__ = ()
+
+    def __str__(self) -> str:
+        return str(shortest_f32(float(self)))
+
+
 def _range(kind: str) -> str:
     if kind.startswith("f"):
         return kind
@@ -190,7 +206,11 @@ class Decoder:
                 values += self._repeated(last, rest)
         except struct.error:
             raise ValueError(f"{len(payload)} bytes cannot be read as {self._spec}") from None
-        return values
+        repeated = [last.rstrip("*")] * (len(values) - len(kinds))
+        return [
+            _F32(value) if kind == "f32" else value
+            for kind, value in zip([*kinds, *repeated], values, strict=True)
+        ]
 
     @staticmethod
     def _repeated(kind: str, rest: bytes) -> Iterable[int | float]:

@@ -167,7 +167,7 @@ class SampleCodec:
         if not self._is_scaled:
             return raw
         if self._is_array:
-            return [one * self._scale + self._offset for one in raw]
+            return tuple(one * self._scale + self._offset for one in raw)
         return raw * self._scale + self._offset
 
     def is_na(self, raw: Any) -> bool:

@@ -1,6 +1,8 @@
 """Values on the command line: how words become values, and results become text."""
 
 import json
+import math
+import struct
 
 import pytest
 
@@ -14,6 +16,7 @@ from j2a.types.model import Described
 from j2a.types.parser import parse_definitions, parse_signature
 
 DEFINITIONS = "enum mode i8 (off=0, slow=1, down=-1)\nstruct point (x f32 m, mode mode)"
+AS_F64 = struct.unpack("<f", struct.pack("<f", 0.1))[0]
 TYPES = {one.name: one for one in parse_definitions(DEFINITIONS)}
 
 
@@ -94,6 +97,17 @@ def test_words_with_a_type_are_a_payload(signature, words):
         (" mode", b"\5", ["5"]),
         (" u8[2]", b"\1\2", ["[1, 2]"]),
         (" point", b"\0\0\x80\x3f\1", ['{"x": 1.0, "mode": "slow"}']),
+        (" f32", struct.pack("<f", 0.1), ["0.1"]),
+        (" f32", struct.pack("<f", 3e10), ["30000000000.0"]),
+        (" f32", struct.pack("<f", math.inf), ["Infinity"]),
+        (" f64", struct.pack("<d", 0.1 + 0.2), ["0.30000000000000004"]),
+        (" f64", struct.pack("<d", 123456792.0), ["123456792.0"]),
+        (" f64", struct.pack("<d", AS_F64), [str(AS_F64)]),
+        (" f32[2]", struct.pack("<2f", 0.1, -0.7), ["[0.1, -0.7]"]),
+        (" f32[]", struct.pack("<2f", 0.1, -0.7), ["[0.1, -0.7]"]),
+        (" point", struct.pack("<fB", 0.1, 1), ['{"x": 0.1, "mode": "slow"}']),
+        (" point[1]", struct.pack("<fB", 0.1, 1), ['[{"x": 0.1, "mode": "slow"}]']),
+        (" (a f32, b f64)", struct.pack("<fd", 0.1, 0.2), ["a  0.1", "b  0.2"]),
         (" (a u8, mode mode)", b"\1\1", ["a     1", "mode  slow"]),
     ],
 )

@@ -1,6 +1,8 @@
 """Payload words to bytes, and payloads to values and texts."""
 
 import io
+import json
+import struct
 import sys
 from types import SimpleNamespace
 
@@ -79,6 +81,13 @@ def test_the_name_of_a_file_without_its_sign_is_recognised(tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match="write @firmware"):
         payload_of(["firmware.bin"])
+
+
+def test_f32_has_for_people_the_digits_that_matter():
+    payload = struct.pack("<fd2f", 0.1, 0.1, 0.2, 3.4028234663852886e38)
+    values = Decoder("f32,f64,f32*").values(payload)
+    assert [str(value) for value in values] == ["0.1", "0.1", "0.2", "3.4028235e+38"]
+    assert json.loads(json.dumps(values)) == list(struct.unpack("<fd2f", payload))
 
 
 @pytest.mark.parametrize(

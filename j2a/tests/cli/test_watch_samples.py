@@ -15,11 +15,15 @@ from j2a.cli._samples import (
     last_text,
     rate_head,
     rate_text,
+    sample_facts,
     sample_text,
 )
+from j2a.cli._typed import json_of
 from j2a.events import Reading
 from j2a.io.clock import Clock
 from j2a.recording import Recorder
+from j2a.types.coding import PythonTypes
+from j2a.types.samples import SampleCodec
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard
 
@@ -203,6 +207,38 @@ def test_a_name_that_is_none(run, board, demo):
 )
 def test_what_a_line_says(one, text):
     assert sample_text(one) == text
+
+
+@pytest.mark.parametrize("more", ["", ", (queue, 3)"])
+@pytest.mark.parametrize(
+    ("kind", "raw", "text"),
+    [
+        ("f32, none", 0.1, "0.1"),
+        ("f32, none", 3e10, "30000000000.0"),
+        ("f32, none, (scale, 0.5), (offset, 101325)", 0.004, "101325.002"),
+        ("array(f32, 2), none", (0.1, 0.7), "[0.1, 0.7]"),
+        ("array(f32, 2), none, (scale, 3)", (0.5, 0.1), "[1.5, 0.300000004]"),
+        ("f64, none", 1732785000.123456, "1732785000.123456"),
+        ("f64, none", 123456792.0, "123456792.0"),
+        ("array(f64, 2), none", (123456792.0, 0.1 + 0.2), "[123456792.0, 0.30000000000000004]"),
+        ("i32, none, (scale, 1), (offset, 0)", 123456792, "123456792.0"),
+        ("i16, none, (scale, 0.18)", 95, "17.1"),
+        ("array(i16, 2), none, (scale, 0.18)", (95, 2), "[17.1, 0.36]"),
+        ("u64, none, (scale, 0.001)", 1732785000123, "1732785000.123"),
+        ("u64, none, (scale, 0.000001)", 1732785000123456, "1732785000.123456"),
+    ],
+)
+def test_a_line_has_the_digits_that_the_sensor_gives(kind, raw, text, more):
+    [sensor] = read_transds(f"SENSOR(quad, 0, quad, X, 1, {kind}{more})").transducers
+    codec = SampleCodec(sensor, PythonTypes())
+    value = codec.pack_raw(raw)
+    payload = struct.pack("<HBQ" if more else "<Q", *((0, 0) if more else ()), 5) + value
+    readings = codec.unpack_queued(payload)[1] if more else codec.unpack(payload)
+    assert {hash(one) for one in readings}
+    one = j2a.Sample("b", "quad", 0, readings, 0.0, payload=payload)
+    assert sample_text(one) == f"quad  {text}"
+    [told] = sample_facts(one)["readings"]
+    assert told["value"] == json_of(codec.physical(codec.unpack_raw(value)))
 
 
 def test_rates():

@@ -181,7 +181,7 @@ class TestSamples:
             device.sense("field", 1, [10, -10, 0], raw=True)
             sample = samples.wait(PATIENCE_S)
         assert list(sample.readings[1].raw) == [10, -10, 0]
-        assert sample.values == (None, [4.0, -6.0, -1.0])
+        assert sample.values == (None, (4.0, -6.0, -1.0))
         got = []
         device.actuator("pose")(lambda _channel, value: got.append(value))
         board.transducers["pose"].set([1.5, -2.0])
