@@ -241,6 +241,8 @@ class Annotations:
             return known[1]
         if any(one.kw_only or not one.init for one in dataclasses.fields(kind)):
             _refuse(what, f"{kind.__name__} has fields that its constructor does not take in order")
+        if any(map(_is_init_var, _all_hints(kind).values())):
+            _refuse(what, f"{kind.__name__} has an InitVar, which no payload has")
         fields = self._fields(kind.__name__, _members(kind))
         return self._define(what, kind, Structure(kind.__name__, fields))
 
@@ -329,12 +331,21 @@ def _is_named_tuple(hint: object) -> bool:
     return isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields")
 
 
+def _all_hints(kind: object) -> dict[str, Any]:
+    """Return the annotations of a class and of those that it is derived from."""
+    try:
+        return get_type_hints(kind, include_extras=True)
+    except Exception:  # as in `_hints`
+        return dict(getattr(kind, "__annotations__", {}))
+
+
+def _is_init_var(hint: object) -> bool:
+    return hint is dataclasses.InitVar or isinstance(hint, dataclasses.InitVar)
+
+
 def _members(kind: object) -> dict[str, Any]:
     """Return the annotations of the fields of a dataclass or named tuple, in their order."""
-    try:
-        hints = get_type_hints(kind, include_extras=True)
-    except Exception:  # as in `_hints`
-        hints = dict(getattr(kind, "__annotations__", {}))
+    hints = _all_hints(kind)
     if dataclasses.is_dataclass(kind):
         return {one.name: hints[one.name] for one in dataclasses.fields(kind)}
     return {name: hints.get(name, Any) for name in kind._fields}  # type: ignore[attr-defined]

@@ -6,6 +6,7 @@ a tuple for an array. Rules: `struct` does the work where all is scalar; everyth
 is wrong, so that the fast way needs no checks of its own.
 """
 
+import dataclasses
 import keyword
 import struct
 from collections import namedtuple
@@ -346,7 +347,9 @@ def _structure(element: Structure, types: PythonTypes) -> tuple[str, _Flatten, _
     made = types.structure(element)
     parts = [_part(field.type, types) for field in element.fields]
     names = [field.name for field in element.fields]
-    attributes = python_names(names)
+    attributes = [python_names(names)]
+    if dataclasses.is_dataclass(made):  # of the user, who may call a field as others do not: _x
+        attributes.insert(0, [field.name for field in dataclasses.fields(made)])
     starts: list[int] = []
     at = 0
     for code, _, _ in parts:
@@ -370,12 +373,19 @@ def _structure(element: Structure, types: PythonTypes) -> tuple[str, _Flatten, _
     return "".join(code for code, _, _ in parts), flatten, build
 
 
-def _members(value: Any, names: list[str], attributes: list[str]) -> Sequence[Any] | None:
-    """Return the values of the fields of a structure, out of what a user gives for it."""
+def _members(value: Any, names: list[str], attributes: list[list[str]]) -> Sequence[Any] | None:
+    """Return the values of the fields of a structure, out of what a user gives for it.
+
+    Args:
+        value: what the user gives.
+        names: of the fields.
+        attributes: what objects may call the fields, that of the first list if they have all.
+    """
     if isinstance(value, Mapping):
         return [value[name] for name in names] if set(value) == set(names) else None
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return value if len(value) == len(names) else None
-    if all(hasattr(value, name) for name in attributes):
-        return [getattr(value, name) for name in attributes]
+    for own in attributes:
+        if all(hasattr(value, name) for name in own):
+            return [getattr(value, name) for name in own]
     return None

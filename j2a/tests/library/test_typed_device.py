@@ -4,7 +4,7 @@ import enum
 import functools
 import struct
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Sequence  # noqa: UP035 - as users may
 
@@ -39,6 +39,13 @@ class Line:
 class Reading(NamedTuple):
     raw: Annotated[list[j2a.i16], j2a.Length(3)]
     ok: bool
+
+
+@dataclass
+class Hidden:
+    _x: j2a.u8
+    class_: j2a.u8
+    mro: j2a.u8
 
 
 class Code(NamedTuple):
@@ -119,6 +126,14 @@ class TestAnnotations:
         assert seen == [(Line([Point(1, 2), Point(3, 4)], Mode.class_), "ä")]
         assert type(seen[0][0].mode) is Mode
 
+    def test_fields_keep_the_names_of_the_class_of_the_user(self):
+        def f(one: Hidden) -> Hidden:
+            return Hidden(one._x + 1, one.class_ + 1, one.mro + 1)
+
+        device = register(f)
+        assert b"struct Hidden (_x u8, class u8, mro u8)" in content(device, GET_INTERFACE)
+        assert call(device, "f", b"\1\2\3") == (0, b"\2\3\4")
+
     def test_an_enumeration_may_have_another_integer(self):
         def f(mode: Annotated[Mode, j2a.i16]) -> None:
             assert mode is Mode.slow
@@ -196,6 +211,11 @@ class TestAnnotations:
             x: j2a.u8 = field(init=False)
 
         @dataclass
+        class Seeded:
+            x: j2a.u8
+            seed: InitVar[int] = 0
+
+        @dataclass
         class Holds:
             text: str
 
@@ -229,6 +249,7 @@ class TestAnnotations:
         def v(a: j2a.u8 | None): ...
         def w(a: Plain): ...
         def x(a: list[int]): ...
+        def y(a: Seeded) -> None: ...
 
         for function, advice in {
             a: "write j2a.u8 to j2a.i64, because int has no size",
@@ -254,6 +275,7 @@ class TestAnnotations:
             v: "a is annotated with no type of J2A",
             w: "a is annotated with no type of J2A",
             x: "a is annotated with no type of J2A",
+            y: "Seeded has an InitVar, which no payload has",
         }.items():
             device = j2a.Device()
             before = content(device, GET_INTERFACE)
