@@ -13,6 +13,7 @@ import keyword
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
+from numbers import Integral
 from types import UnionType
 from typing import (
     Annotated,
@@ -108,6 +109,7 @@ class Annotations:
     def __init__(self) -> None:
         self.types = PythonTypes(array=list, is_strict=True)
         self._found: dict[str, tuple[type, Enumeration | Structure]] = {}
+        self._begun: list[type] = []
 
     def copy(self) -> "Annotations":
         """Return one that knows the same and may learn more."""
@@ -210,7 +212,9 @@ class Annotations:
         if length is not None:
             if not kind.is_open:
                 _refuse(what, "Length is for arrays, str and bytes")
-            kind = dataclasses.replace(kind, count=length)
+            if not isinstance(length, Integral) or isinstance(length, bool) or length < 1:
+                _refuse(what, f"a Length is an integer from 1 on, not {length!r:.60}")
+            kind = dataclasses.replace(kind, count=int(length))
         return dataclasses.replace(kind, unit=unit) if unit else kind
 
     def _bare_type(self, what: str, hint: object, integer: str) -> Type:
@@ -243,7 +247,13 @@ class Annotations:
             _refuse(what, f"{kind.__name__} has fields that its constructor does not take in order")
         if any(map(_is_init_var, _all_hints(kind).values())):
             _refuse(what, f"{kind.__name__} has an InitVar, which no payload has")
-        fields = self._fields(kind.__name__, _members(kind))
+        if kind in self._begun:
+            _refuse(what, f"{kind.__name__} holds another {kind.__name__}, so it has no size")
+        self._begun.append(kind)
+        try:
+            fields = self._fields(kind.__name__, _members(kind))
+        finally:
+            self._begun.pop()
         return self._define(what, kind, Structure(kind.__name__, fields))
 
     def _define(self, what: str, kind: type, definition: Enumeration | Structure) -> Element:
@@ -274,9 +284,14 @@ def _hints(function: object) -> dict[str, object]:
     try:
         return dict(get_type_hints(function, include_extras=True))
     except Exception:  # whatever it is that cannot be evaluated
-        found = dict(getattr(function, "__annotations__", {}))
+        return _each_hint(function)
+
+
+def _each_hint(owner: object) -> dict[str, Any]:
+    """Return the own annotations of a function or class, evaluated one by one."""
+    found = dict(getattr(owner, "__annotations__", {}))
     for name, hint in found.items():
-        one = type("One", (), {"__annotations__": {name: hint}, "__module__": _module(function)})
+        one = type("One", (), {"__annotations__": {name: hint}, "__module__": _module(owner)})
         try:
             found[name] = get_type_hints(one, include_extras=True)[name]
         except Exception:
@@ -284,8 +299,8 @@ def _hints(function: object) -> dict[str, object]:
     return found
 
 
-def _module(function: object) -> str:
-    name = getattr(function, "__module__", "")
+def _module(owner: object) -> str:
+    name = getattr(owner, "__module__", "")
     return name if name in sys.modules else __name__
 
 
@@ -331,12 +346,12 @@ def _is_named_tuple(hint: object) -> bool:
     return isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields")
 
 
-def _all_hints(kind: object) -> dict[str, Any]:
+def _all_hints(kind: Any) -> dict[str, Any]:
     """Return the annotations of a class and of those that it is derived from."""
     try:
         return get_type_hints(kind, include_extras=True)
     except Exception:  # as in `_hints`
-        return dict(getattr(kind, "__annotations__", {}))
+        return {k: hint for base in kind.__mro__[::-1] for k, hint in _each_hint(base).items()}
 
 
 def _is_init_var(hint: object) -> bool:

@@ -12,6 +12,7 @@ import struct
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
+from numbers import Integral
 from typing import Any, Final
 
 from j2a_spec.constants import MAX_PAYLOAD
@@ -35,6 +36,8 @@ NUMBER_CODES: Final = {
 }
 """The code of `struct` for each element that is a number."""
 _CODES: Final = {"bool": "?", **NUMBER_CODES}
+_NO_NUMBER: Final = (struct.error, OverflowError, TypeError, ValueError)
+"""What `struct` and comparisons raise, of arrays and of the N/A of pandas, too."""
 
 _make_enum: Callable[[str, list[tuple[str, int]]], type[IntEnum]] = IntEnum  # type: ignore[assignment]
 
@@ -136,7 +139,7 @@ class Codec:
         if self._is_plain and not self._checks_bool:
             try:
                 return self._struct.pack(*values)
-            except (struct.error, OverflowError):
+            except _NO_NUMBER:
                 pass  # the slow way finds out why
         if len(values) != len(self.fields):
             raise WrongArgument(f"{len(self.fields)} values are expected, not {len(values)}")
@@ -286,7 +289,7 @@ def _part(kind: Type, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
 
 
 def _items(value: Any, field: Field) -> Sequence[Any]:
-    if isinstance(value, str) or not isinstance(value, Iterable):
+    if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
         raise WrongArgument(f"{field.name} is an array, {field.type}, not {value!r:.60}")
     return value if isinstance(value, Sequence) else list(value)
 
@@ -301,11 +304,11 @@ def _element(element: Element, types: PythonTypes) -> tuple[str, _Flatten, _Buil
     check = struct.Struct("<" + code).pack
 
     def flatten(value: Any, name: str, flat: list[Any]) -> None:
-        if element == "bool" and value not in (False, True):
-            raise WrongArgument(f"{name} is True or False, not {value!r:.60}")
         try:
             check(value)
-        except (struct.error, OverflowError):
+            if element == "bool" and value not in (False, True):
+                raise ValueError(value)
+        except _NO_NUMBER:
             raise WrongArgument(f"{name} is {_takes(element)}, not {value!r:.60}") from None
         flat.append(value)
 
@@ -317,6 +320,8 @@ def _scalar(flat: Sequence[Any], at: int) -> Any:
 
 
 def _takes(element: str) -> str:
+    if element == "bool":
+        return "True or False"
     if element[0] == "f":
         return f"a number that fits into {element}"
     allowed = integer_range(element)
@@ -329,6 +334,8 @@ def _enumeration(element: Enumeration, types: PythonTypes) -> tuple[str, _Flatte
 
     def flatten(value: Any, name: str, flat: list[Any]) -> None:
         number = by_name.get(value) if isinstance(value, str) else value
+        if isinstance(number, Integral):  # numpy's, too
+            number = int(number)
         if not isinstance(number, int) or number not in members:
             names = ", ".join(by_name)
             raise WrongArgument(f"{name} is one of {names}, not {value!r:.60}")

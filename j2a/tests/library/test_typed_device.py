@@ -42,6 +42,12 @@ class Reading(NamedTuple):
 
 
 @dataclass
+class Node:
+    x: j2a.u8
+    after: Annotated[list["Node"], j2a.Length(1)]
+
+
+@dataclass
 class Hidden:
     _x: j2a.u8
     class_: j2a.u8
@@ -223,6 +229,14 @@ class TestAnnotations:
         class Lost:
             x: "Nothing"  # noqa: F821
 
+        @dataclass
+        class First:
+            x: "j2a.u8"
+
+        @dataclass
+        class Derived(First):
+            y: "Nothing"  # noqa: F821
+
         class Big(enum.IntEnum):
             big = 300
 
@@ -250,6 +264,10 @@ class TestAnnotations:
         def w(a: Plain): ...
         def x(a: list[int]): ...
         def y(a: Seeded) -> None: ...
+        def z(a: Node) -> None: ...
+        def aa(a: Derived) -> None: ...
+        def ab(a: Annotated[list[j2a.u8], j2a.Length("3")]) -> None: ...
+        def ac(a: Annotated[list[j2a.u8], j2a.Length(0)]) -> None: ...
 
         for function, advice in {
             a: "write j2a.u8 to j2a.i64, because int has no size",
@@ -276,6 +294,10 @@ class TestAnnotations:
             w: "a is annotated with no type of J2A",
             x: "a is annotated with no type of J2A",
             y: "Seeded has an InitVar, which no payload has",
+            z: "Node holds another Node, so it has no size",
+            aa: "y of Derived: 'Nothing' is no type of J2A",
+            ab: "a Length is an integer from 1 on, not '3'",
+            ac: "a Length is an integer from 1 on, not 0",
         }.items():
             device = j2a.Device()
             before = content(device, GET_INTERFACE)

@@ -195,6 +195,42 @@ def test_a_payload_of_another_size_is_refused(fields, payload):
         codec(fields).unpack(payload)
 
 
+@pytest.mark.parametrize(
+    ("fields", "value", "message"),
+    [
+        ("(a i32)", [1, 2], "a is an integer of -2147483648"),
+        ("(a f32)", [1, 2], "a is a number that fits into f32"),
+        ("(a bool)", [1, 2], "a is True or False"),
+        ("(a bool[2])", [[1, 2], [1, 2]], "a is True or False"),
+        ("(m mode)", [1, 2], "m is one of off"),
+    ],
+)
+def test_an_array_of_numpy_is_no_number(fields, value, message):
+    numpy = pytest.importorskip("numpy")
+    with pytest.raises(WrongArgument, match=message):
+        codec(fields).pack((numpy.array(value),))
+
+
+def test_numbers_of_numpy_are_numbers():
+    numpy = pytest.importorskip("numpy")
+    assert codec("(m mode)").pack((numpy.uint8(1),)) == b"\1"
+    assert codec("(b bool)").pack((numpy.bool_(True),)) == b"\1"
+    assert codec("(a i16[])").pack((numpy.array([1, 2]),)) == b"\1\0\2\0"
+
+
+@pytest.mark.parametrize("fields", ["(a bool)", "(a i32)", "(a f64)", "(m mode)", "(a i16[])"])
+def test_what_pandas_has_for_no_value_is_refused(fields):
+    pandas = pytest.importorskip("pandas")
+    with pytest.raises(WrongArgument):
+        codec(fields).pack((pandas.NA,))
+
+
+@pytest.mark.parametrize("fields", ["(a i16[])", "(a i16[1])"])
+def test_the_keys_of_a_mapping_are_no_array(fields):
+    with pytest.raises(WrongArgument, match="a is an array"):
+        codec(fields).pack(({1: 2},))
+
+
 def test_the_limits_are_admitted():
     assert codec("(a u8, b bytes)").pack((1, bytes(254))) == b"\1" + bytes(254)
     assert codec("(t text[4])").pack(("äö",)) == "äö".encode()
