@@ -6,7 +6,7 @@ changes only when the board does; names that Python reserves get an underscore b
 """
 
 import keyword
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from typing import Final
 
 from j2a.types.coding import python_names
@@ -34,10 +34,13 @@ _PLAIN: Final = {
 }
 _MODULE: Final = frozenset({"AsyncBoard", "Board", "HASH", "IntEnum", "Sequence"})
 """Names of the module that classes of a board do not take."""
-_OWN: Final = frozenset({"client", *_PLAIN.values(), "tuple"})
-"""Names in the classes of boards that functions do not take: types are looked up there, too."""
-_LOCAL: Final = ("self", "result", *sorted({*_PLAIN.values(), "tuple"}))
-"""Names in the methods of boards that parameters do not take."""
+_TYPES: Final = (*sorted({*_PLAIN.values(), "tuple"}),)
+"""Types in annotations, beside the classes: fields, functions and parameters do not hide them."""
+_OF_ENUM: Final = (
+    *("name", "value", "real", "imag", "numerator", "denominator", "conjugate", "is_integer"),
+    *("as_integer_ratio", "bit_count", "bit_length", "from_bytes", "to_bytes"),
+)
+"""What enumerations and integers have themselves."""
 _Classes = dict[tuple[str, str], str]
 """The names of classes: by "type", "results" or "sif", and the name of that."""
 
@@ -113,6 +116,11 @@ def _free(name: str, taken: Container[str]) -> str:
     return name
 
 
+def _names(taken: Sequence[str], names: Iterable[str]) -> list[str]:
+    """Return names for attributes or parameters that are none of those that are taken."""
+    return python_names([*taken, *names])[len(taken) :]
+
+
 def class_name(name: str) -> str:
     """Return a name as classes have it: `motor_mode` is `MotorMode`."""
     parts = [part[0].upper() + part[1:] for part in name.split("_") if part]
@@ -133,7 +141,7 @@ def _enumeration(definition: Enumeration, classes: _Classes) -> Iterator[str]:
     yield from ("", "", f"class {classes['type', definition.name]}(IntEnum):")
     yield _doc(f"An enumeration of {definition.integer}.", "    ")
     yield ""
-    names = python_names([name for name, _ in definition.values])
+    names = _names(_OF_ENUM, (name for name, _ in definition.values))
     for name, (_, number) in zip(names, definition.values, strict=True):
         yield f"    {name} = {number}"
 
@@ -142,7 +150,7 @@ def _record(name: str, fields: Sequence[Field], doc: str, classes: _Classes) -> 
     # No named tuple: fields named count or index would hide what tuples have.
     yield from ("", "", "@dataclass(frozen=True)", f"class {name}:")
     yield _doc(doc, "    ")
-    names = python_names([field.name for field in fields])
+    names = _names([*_TYPES, *classes.values()], (field.name for field in fields))
     for attribute, field in zip(names, fields, strict=True):
         yield from ("", f"    {attribute}: {_annotation(field.type, 'tuple', classes)}")
         if field.type.unit:
@@ -188,7 +196,7 @@ def _board(functions: Sequence[Described], classes: _Classes, *, is_async: bool)
         "        client.use_types(HASH, _CLASSES)",
         "        self.client = client",
     )
-    taken = set(_OWN)
+    taken = {"client", "Sequence", *_TYPES, *classes.values()}
     for line in functions:
         [method] = python_names([line.name])
         method = _free(method, taken)
@@ -215,7 +223,8 @@ def _method(method: str, line: Described, classes: _Classes, *, is_async: bool) 
     signature = line.signature
     assert signature is not None
     define, wait = ("async def", "await ") if is_async else ("def", "")
-    names = python_names([*_LOCAL, *(field.name for field in signature.parameters)])[len(_LOCAL) :]
+    taken = ["self", "result", *_TYPES, *classes.values()]
+    names = _names(taken, (field.name for field in signature.parameters))
     pairs = list(zip(names, signature.parameters, strict=True))
     parameters = "".join(
         f", {name}: {_annotation(f.type, 'Sequence', classes)}" for name, f in pairs

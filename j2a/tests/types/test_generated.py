@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
@@ -16,6 +17,7 @@ from j2a.cli import main
 from j2a.demo import DemoDevice
 from j2a.errors import SignatureError
 from j2a.tests.library.support import served
+from j2a.types.coding import Codec, PythonTypes
 from j2a.types.definition_file import interface_text, read_definition_file
 from j2a.types.header import c_header
 from j2a.types.model import Interface
@@ -356,3 +358,42 @@ def test_names_that_clash_are_told_apart(tmp_path, strict_errors):
     methods = ["add", "int_", "bool_", "client_", "client__", "connect", "HASH", "tuple_"]
     assert [name for name in vars(made.Board) if not name.startswith("_")] == methods
     assert strict_errors(tmp_path, module.name) == []
+
+
+HIDING = """\
+enum mode u8 (name=0, value=1, to_bytes=2)
+struct pair (int u8, Mode mode, b i16)
+
+Sequence() u8
+Mode(a mode) mode
+Pair(a pair) pair
+j2a(a i16[3]) i16
+k(KResults u8, Mode mode, Pair pair) (int u8, KResults mode, b bool)
+"""
+
+
+def test_no_name_hides_a_type_or_a_class(tmp_path, strict_errors):
+    module = tmp_path / "hiding_board.py"
+    module.write_text(python_module(parse_interface(HIDING), "00000000", "x"))
+    made = load(module)
+    assert strict_errors(tmp_path, module.name) == []
+    assert [one.name for one in made.Mode] == ["name_", "value_", "to_bytes_"]
+    pair = made.Pair(int_=1, Mode_=made.Mode.value_, b=-2)
+    calls = []
+    functions = {"k": lambda *values: calls.append(values) or (1, 2, True)}
+    board = made.Board(SimpleNamespace(use_types=lambda *_: None, functions=functions))
+    assert board.k(1, made.Mode.name_, Pair_=pair) == made.KResults(1, 2, b=True)
+    assert calls == [(1, made.Mode.name_, pair)]
+
+
+def test_renamed_fields_are_packed():
+    interface = parse_interface(HIDING)
+    space = {"__name__": __name__}
+    exec(python_module(interface, "00000000", "x"), space)
+    types = PythonTypes()
+    for definition in interface.types:
+        types.use(definition, space["_CLASSES"][definition.name])
+    codec = Codec(interface.functions[2].signature.parameters, types)
+    value = space["Pair"](1, space["Mode"](1), -2)
+    assert codec.pack([value]) == b"\1\1\xfe\xff"
+    assert codec.unpack(codec.pack([value])) == (value,)
