@@ -35,18 +35,24 @@ def _lines(descriptors: Descriptors, source: str, file: str) -> Iterator[str]:
     yield from (f"#ifndef {guard}", f"#define {guard}", "")
     yield from ("#include <stdbool.h>", "#include <stdint.h>", "")
     definitions = CDefinitions(guard)
+    definitions.names.give("std")  # a namespace in C++; members may be called so
     yield from definitions.lines(descriptors.types)
+    # In C++ a member hides a type of its name, and macros replace it in C, too.
+    members = definitions.names.give("time_us"), definitions.names.give("value")
     prefixes: set[str] = set()
     for one in descriptors.transducers:
         prefix = free_name(f"J2A_{one.name.upper()}", prefixes)
         prefixes.add(prefix)
-        yield from _transducer(one, prefix, definitions)
+        yield from _transducer(one, prefix, definitions, *members)
     yield "#endif"
 
 
-def _transducer(one: Transducer, prefix: str, definitions: CDefinitions) -> Iterator[str]:
+def _transducer(
+    one: Transducer, prefix: str, definitions: CDefinitions, time_us: str, value: str
+) -> Iterator[str]:
     give = definitions.names.give
-    yield f"/* {c_comment(str(one)).replace(chr(10), chr(10) + '   ')} */"
+    comment = "\n   ".join(map(c_comment, str(one).split("\n")))
+    yield f"/* {comment} */"
     yield f"#define {give(f'{prefix}_ID')} {one.id}"
     yield f"#define {give(f'{prefix}_CHANNELS')} {one.channels}"
     if one.is_scaled:
@@ -54,9 +60,9 @@ def _transducer(one: Transducer, prefix: str, definitions: CDefinitions) -> Iter
         yield f"#define {give(f'{prefix}_OFFSET')} {one.offset!r}"
     if one.na is not None:
         yield f"#define {give(f'{prefix}_NA')} {_raw(one.na, one.get('na'))}"
-    value = definitions.member(Field("value", one.type), "value")
+    member = definitions.member(Field(value, one.type), value)
     name = give(f"j2a_{one.name}_reading")
-    yield f"typedef struct {{ uint64_t time_us; {value} }} {name};"
+    yield f"typedef struct {{ uint64_t {time_us}; {member} }} {name};"
     yield ""
 
 

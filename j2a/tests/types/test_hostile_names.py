@@ -156,6 +156,24 @@ def test_headers_say_the_same_in_c_and_in_cpp(tmp_path, need, compiler):
     subprocess.run([tmp_path / "main"], check=True, timeout=60)
 
 
+@pytest.mark.parametrize("name", ["value", "time_us", "std", "time"])
+@pytest.mark.parametrize("compiler", [("gcc", "-std=c99"), ("g++", "-std=c++17", "-xc++")])
+def test_readings_have_values_of_any_name_of_a_type(tmp_path, need, compiler, name):
+    need(compiler[0])
+    # The enumerator is a macro, time_us of the enumeration time.
+    board = parse_descriptors(
+        f"enum {name} u64 (us=1099511627775)\n\nsensor a 1 1 {name}\n model x\n"
+    )
+    text = transducers_header(board, "x", "board.h")
+    assert f"/* sensor a 1 1 {name}\n    model x */\n" in text
+    (tmp_path / "board.c").write_text(text)
+    command = [*compiler, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", "board.c"]
+    done = subprocess.run(
+        command, cwd=tmp_path, check=False, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+
+
 FIELDS = {
     1: (r"[a-zA-Z][a-zA-Z0-9_]*", r"[a-zA-Z][a-zA-Z0-9_]*", r"[a-zA-Z][a-zA-Z0-9_]*"),
     2: (r"[A-Z][A-Za-z0-9]*", r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", r"(?!.*_$)[A-Z]([A-Z0-9_]*)"),
