@@ -10,6 +10,7 @@ from html import escape
 from typing import Any, Final
 
 from j2a.types.model import Enumeration, Structure
+from j2a.types.samples import number_text
 from j2a.types.transducers import (
     KEYS,
     LOST_BYTES,
@@ -84,9 +85,11 @@ def _characteristics(one: Transducer) -> Rows:
     if isinstance(element, Enumeration):
         yield "Raw values", ", ".join(f"{number} {name}" for name, number in element.values)
     if one.range is not None:
-        yield "Range", " to ".join(_physical(one, raw) for raw in one.range)
+        is_turned = one.is_scaled and one.scale < 0
+        ends = one.range[::-1] if is_turned else one.range
+        yield "Range", " to ".join(_physical(one, raw) for raw in ends)
     if one.accuracy is not None:
-        yield "Accuracy", f"± {one.accuracy:g}{_unit(one)}"
+        yield "Accuracy", f"± {number_text(one.accuracy)}{_unit(one)}"
     if one.is_sensor:
         yield "No value (N/A)", "none" if one.na is None else f"raw {one.get('na')}"
 
@@ -99,7 +102,7 @@ def _calibration(one: Transducer) -> Rows:
         yield "Value", f"raw * {one.get('scale', '1')}{added}{_unit(one)}"
         element = numbers_element(one.type)
         if element is not None and element[0] in "ui":
-            yield "Resolution", f"{abs(one.scale):g}{_unit(one)}"
+            yield "Resolution", f"{number_text(abs(one.scale))}{_unit(one)}"
 
 
 def _timing(one: Transducer) -> Rows:
@@ -132,7 +135,9 @@ def _configuration(one: Transducer) -> Rows:
 
 def _physical(one: Transducer, raw: Any) -> str:
     value = raw * one.scale + one.offset if one.is_scaled else raw
-    return f"{value:g}{_unit(one)}" if isinstance(value, float) else f"{value}{_unit(one)}"
+    is_f32 = one.type.element == "f32" and not one.is_scaled
+    text = number_text(value, is_f32=is_f32) if isinstance(value, float) else str(value)
+    return f"{text}{_unit(one)}"
 
 
 def _unit(one: Transducer) -> str:

@@ -31,7 +31,7 @@ from j2a.types.transducers import (
     rounded,
 )
 
-__all__ = ["SampleCodec", "check_time", "pack_time"]
+__all__ = ["SampleCodec", "check_time", "number_text", "pack_time"]
 
 _NO_TIME: Final = 0
 _TIME_US: Final = struct.Struct("<Q")
@@ -259,16 +259,23 @@ class SampleCodec:
             is_inside = True  # the type refuses it
         if not is_inside:
             raise WrongArgument(
-                f"{self.transducer.name} is {self._told(low)} to {self._told(high)}, not "
-                f"{self._told(raw)}"
+                f"{self.transducer.name} is {self._told_range(low, high)}, not {self._told(raw)}"
             )
 
+    def _told_range(self, low: Raw, high: Raw) -> str:
+        if self._is_scaled and self._scale < 0:
+            low, high = high, low
+        return f"{self._told(low)} to {self._told(high)}"
+
     def _told(self, raw: Raw) -> str:
-        unit = self.transducer.unit
-        if not self._is_scaled:
-            number = f"{raw:g}" if self._is_float else str(raw)
-            return f"{number}{unit and ' '}{unit}"
-        return f"{raw * self._scale + self._offset:g}{unit and ' '}{unit} (raw {raw})"
+        unit = f"{self.transducer.unit and ' '}{self.transducer.unit}"
+        try:
+            if self._is_scaled:
+                return f"{number_text(raw * self._scale + self._offset)}{unit} (raw {raw})"
+            is_f32 = self.transducer.type.element == "f32"
+            return f"{number_text(raw, is_f32=is_f32) if self._is_float else raw}{unit}"
+        except (TypeError, ValueError, OverflowError):  # an array, or beyond the numbers of floats
+            return f"{raw!r:.60}"
 
     # ------------------------------------------------------------------ settings
 
@@ -321,6 +328,15 @@ class SampleCodec:
     def _number(self, raw: Any) -> Any:
         """Return the integer that a name of the enumeration stands for, anything else as it is."""
         return self._numbers.get(raw, raw) if isinstance(raw, str) else raw
+
+
+def number_text(number: float, *, is_f32: bool = False) -> str:
+    """Return a number to read: what scaling adds behind twelve digits is left out.
+
+    An f32 has as many digits as tell it from others: 0.1, and not 0.10000000149.
+    """
+    short = (float(f"{number:.{digits}g}") for digits in range(6, 10) if is_f32)
+    return f"{next((one for one in short if rounded('f32', one) == number), number):.12g}"
 
 
 def _is_any(kind: Type) -> bool:

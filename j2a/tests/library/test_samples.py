@@ -1,5 +1,6 @@
 """From SIFs to samples: each by the descriptors of its time, whoever learns others meanwhile."""
 
+import re
 import struct
 import threading
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ from j2a.errors import WrongArgument
 from j2a.events import Sif
 from j2a.io.samples import SampleSource
 from j2a.types.coding import PythonTypes
+from j2a.types.datasheet import data_sheets
 from j2a.types.descriptors import parse_descriptors
 from j2a.types.samples import SampleCodec
 
@@ -134,3 +136,42 @@ def test_an_order_fits_into_a_frame_to_its_last_byte(size):
     else:
         with pytest.raises(WrongArgument, match="1 values do not fit"):
             codec.pack_set([[0] * size], 0, 5)
+
+
+@pytest.mark.parametrize(
+    ("lines", "value", "told", "sheet"),
+    [
+        ("i32 mm\n scale 0.001\n range -1, 1234567", 5000, "-0.001 mm to 1234.567 mm, not 5000 mm",
+         "-0.001 mm to 1234.567 mm"),
+        ("i16 V\n scale -0.5\n offset 1\n range 0, 10", 2, "-4 V to 1 V, not 2 V", "-4 V to 1 V"),
+        ("f32\n range -0.1, 16777216", 3e7, "-0.1 to 16777216, not 30000000", "-0.1 to 16777216"),
+        ("f32\n range 0, 1", 1.0000001, "0 to 1, not 1.0000001", "0 to 1"),
+        ("f64 s\n range 0, 1732785000", 1732785000.5, "0 s to 1732785000 s, not 1732785000.5 s",
+         "0 s to 1732785000 s"),
+        ("i32 s\n range 0, 1732785000", -1, "0 s to 1732785000 s, not -1 s", "0 s to 1732785000 s"),
+    ],
+)  # fmt: skip
+def test_ranges_are_told_in_order_and_with_their_digits(lines, value, told, sheet):
+    board = parse_descriptors(f"\nactuator a 1 1 {lines}\n")
+    with pytest.raises(WrongArgument) as caught:
+        SampleCodec(board["a"], PythonTypes()).pack_set([value], 0, 0)
+    assert re.sub(r" \(raw .*?\)", "", str(caught.value)) == f"a is {told}"
+    assert f"<th>Range</th><td>{sheet}</td>" in data_sheets(board, "x")
+
+
+@pytest.mark.parametrize("kind", ["u8\n scale 2", "f32", "f64", "i16"])
+def test_no_number_is_too_strange_to_be_told_the_range(kind):
+    numpy = pytest.importorskip("numpy")
+    codec = SampleCodec(
+        parse_descriptors(f"\nactuator a 1 1 {kind}\n range 0, 9\n")["a"], PythonTypes()
+    )
+    for raw in (10**400, numpy.array([1.0, 2.0])):
+        with pytest.raises(WrongArgument):
+            codec.pack_set([raw], 0, 0, is_raw=True)
+
+
+def test_a_data_sheet_has_all_digits_of_resolution_and_accuracy():
+    board = parse_descriptors("\nsensor a 1 1 i16 V\n scale -0.00012207031\n accuracy 0.1234567\n")
+    sheet = data_sheets(board, "x")
+    assert "<th>Resolution</th><td>0.00012207031 V</td>" in sheet
+    assert "<th>Accuracy</th><td>± 0.1234567 V</td>" in sheet
