@@ -45,8 +45,8 @@ _NO_GUARD: Final = "leave the include guard out: the compiler reads this file se
 _CONDITION: Final = re.compile(r"#\s*(if|ifdef|ifndef|else|endif)\b(.*)")
 _ELIF: Final = re.compile(r"\s*#\s*elif\b")
 _ASKED: Final = re.compile(
-    r"\s*(!?)\s*(?:defined\s*\(\s*(?P<asked>[A-Za-z_]\w*)\s*\)|defined\s+(?P<named>[A-Za-z_]\w*)"
-    r"|(?P<value>[A-Za-z_]\w*|[01]))\s*"
+    r"(?:(!)\s*)?(?:defined\s*\(\s*(?P<asked>[A-Za-z_]\w*)\s*\)|defined\s+(?P<named>[A-Za-z_]\w*)"
+    r"|(?P<value>[A-Za-z_]\w*|[01]))"
 )
 _INCLUDE: Final = re.compile(r'#\s*include\s*"([^"\n]+)"\s*')
 _FUNCTION_LIKE: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)\(", re.ASCII)
@@ -400,9 +400,10 @@ class MacroReader:
 
     def _decide(self, kind: str, asked: str) -> bool:
         """Return whether a condition holds."""
+        asked = asked.strip()
         match = _ASKED.fullmatch(asked)
         if match is None or (kind != "if" and (match[1] or not match["value"])):
-            raise self._wrong(_not_asked(kind, asked.strip()))
+            raise self._wrong(_not_asked(kind, asked))
         name = match["asked"] or match["named"] or match["value"]
         known: dict[str, str | None] = {"0": "0", "1": "1", **self._options, **self._defined}
         if name not in known:

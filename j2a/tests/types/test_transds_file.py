@@ -1,6 +1,7 @@
 """transds.def, read as a compiler reads it: listings of the thesis, and each mistake told."""
 
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -416,6 +417,14 @@ class TestMistakes:
         path.write_text(" " * (1 << 20) + "\n")
         with pytest.raises(OSError, match="bytes"):
             j2a.load_transds(path)
+
+    @pytest.mark.parametrize("sign", ["", "!"])
+    def test_a_condition_behind_many_spaces_takes_no_time(self, sign):
+        text = f"#if{' ' * 20_000}{sign}{' ' * 20_000}?\n{GOOD}#endif\n"
+        begin = time.process_time()
+        with pytest.raises(SignatureError, match="only a build can decide this"):
+            read_transds(text)
+        assert time.process_time() - begin < 2  # 10 s and more when each space was tried twice
 
     @given(st.text('SENORACTU(),_"\\\n/*# 019abxu', max_size=80))
     def test_no_text_raises_anything_else(self, text):
