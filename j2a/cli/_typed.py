@@ -13,6 +13,7 @@ from typing import Final
 import j2a
 from j2a.cli._exit import UsageError
 from j2a.cli._values import finite_or_said, is_payload_word, payload_of, shortest_f32
+from j2a.types.coding import name_on_wire
 from j2a.types.model import INTEGERS, Element, Enumeration, Field, Structure, Type
 
 VALUES_HELP: Final = """\
@@ -105,15 +106,20 @@ def _scalar(element: Element, word: str) -> object:
 
 
 def json_of(value: object) -> object:
-    """Return a value as JSON has it: enumerations by name, bytes in hex, structures as objects."""
+    """Return a value as JSON has it: enumerations by name, bytes in hex, structures as objects.
+
+    Names are those of the device, which takes them back: `from`, not `from_`.
+    """
+    kind = type(value)
     if isinstance(value, IntEnum):
-        return value.name
+        return name_on_wire(kind, value.name)
     if isinstance(value, bytes):
         return value.hex()
     if isinstance(value, tuple):
         names = getattr(value, "_fields", None)
         if names is not None:
-            return {name: json_of(one) for name, one in zip(names, value, strict=True)}
+            pairs = zip(names, value, strict=True)
+            return {name_on_wire(kind, name): json_of(one) for name, one in pairs}
         return [json_of(one) for one in value]
     return value
 
@@ -138,7 +144,7 @@ def plain(value: object, kind: Type | None = None) -> str:
     if isinstance(value, bytes):
         return value.hex(" ")
     if isinstance(value, IntEnum):
-        return value.name
+        return name_on_wire(type(value), value.name)
     shown = json_of(value)
     return json.dumps(shown if kind is None else _short(shown, kind))
 

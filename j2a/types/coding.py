@@ -20,7 +20,7 @@ from j2a_spec.constants import MAX_PAYLOAD
 from j2a.errors import WrongArgument
 from j2a.types.model import OPEN, Element, Enumeration, Field, Structure, Type, integer_range
 
-__all__ = ["NUMBER_CODES", "Codec", "PayloadMismatchError", "PythonTypes"]
+__all__ = ["NUMBER_CODES", "Codec", "PayloadMismatchError", "PythonTypes", "name_on_wire"]
 
 NUMBER_CODES: Final = {
     "u8": "B",
@@ -38,6 +38,7 @@ NUMBER_CODES: Final = {
 _CODES: Final = {"bool": "?", **NUMBER_CODES}
 _NO_NUMBER: Final = (struct.error, OverflowError, TypeError, ValueError)
 """What `struct` and comparisons raise, of arrays and of the N/A of pandas, too."""
+_ON_WIRE: Final = "_names_on_wire"  # of a class that was made; no field or value has a name with _
 
 _make_enum: Callable[[str, list[tuple[str, int]]], type[IntEnum]] = IntEnum  # type: ignore[assignment]
 
@@ -76,6 +77,7 @@ class PythonTypes:
             names = python_names([name for name, _ in enumeration.values])
             members = zip(names, (number for _, number in enumeration.values), strict=True)
             made = _make_enum(enumeration.name, list(members))
+            setattr(made, _ON_WIRE, _on_wire([name for name, _ in enumeration.values]))
             self._enums[enumeration] = made
         return made
 
@@ -241,15 +243,16 @@ class Codec:
 
 def tuple_class(name: str, fields: Sequence[Field]) -> type[Any]:
     """Return a named tuple for fields; it can be pickled, though no module has it."""
-    [own] = python_names([name])
-    return _tuple_class(own, *python_names([field.name for field in fields]))
+    return _tuple_class(name, *(field.name for field in fields))
 
 
-def _tuple_class(own: str, *names: str) -> type[Any]:
+def _tuple_class(name: str, *fields: str) -> type[Any]:
     def reduce(values: tuple[Any, ...]) -> Any:
-        return _unpickled, ((own, *names), *values)
+        return _unpickled, ((name, *fields), *values)
 
-    made: type[Any] = type(own, (namedtuple(own, names),), {"__slots__": (), "__reduce__": reduce})
+    [own] = python_names([name])
+    members = {"__slots__": (), "__reduce__": reduce, _ON_WIRE: _on_wire(fields)}
+    made: type[Any] = type(own, (namedtuple(own, python_names(fields)),), members)
     return made
 
 
@@ -266,6 +269,21 @@ def python_names(names: Iterable[str]) -> list[str]:
             own += "_"
         made[own] = None
     return list(made)
+
+
+def _on_wire(names: Sequence[str]) -> dict[str, str]:
+    return dict(zip(python_names(names), names, strict=True))
+
+
+def name_on_wire(kind: type[Any], own: str) -> str:
+    """Return what the device calls a value of an enumeration, or a field of a structure.
+
+    Args:
+        kind: its class.
+        own: its name in Python, which is the one that a class of the user has.
+    """
+    names: Mapping[str, str] = getattr(kind, _ON_WIRE, {})
+    return names.get(own, own)
 
 
 def _part(kind: Type, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
@@ -329,15 +347,15 @@ def _takes(element: str) -> str:
 
 
 def _enumeration(element: Enumeration, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
-    by_name = dict(element.values)
     members = {int(member): member for member in types.enum(element)}
+    by_name = {member.name: number for number, member in members.items()} | dict(element.values)
 
     def flatten(value: Any, name: str, flat: list[Any]) -> None:
         number = by_name.get(value) if isinstance(value, str) else value
         if isinstance(number, Integral):  # numpy's, too
             number = int(number)
         if not isinstance(number, int) or number not in members:
-            names = ", ".join(by_name)
+            names = ", ".join(name for name, _ in element.values)
             raise WrongArgument(f"{name} is one of {names}, not {value!r:.60}")
         flat.append(number)
 
@@ -389,7 +407,8 @@ def _members(value: Any, names: list[str], attributes: list[list[str]]) -> Seque
         attributes: what objects may call the fields, that of the first list if they have all.
     """
     if isinstance(value, Mapping):
-        return [value[name] for name in names] if set(value) == set(names) else None
+        keys = next((keys for keys in (names, attributes) if set(value) == set(keys)), None)
+        return None if keys is None else [value[key] for key in keys]
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return value if len(value) == len(names) else None
     for own in attributes:

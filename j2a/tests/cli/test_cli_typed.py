@@ -8,7 +8,7 @@ import pytest
 
 import j2a
 from j2a.cli._exit import UsageError
-from j2a.cli._typed import lines_of, takes_values, values_of
+from j2a.cli._typed import json_of, lines_of, takes_values, values_of
 from j2a.client import Function
 from j2a.tests.library.support import served
 from j2a.types.coding import PythonTypes
@@ -115,6 +115,21 @@ def test_results_are_shown(result, payload, lines):
     one = function(f"(){result}")
     one._prepare()
     assert lines_of(one, one._unpack(j2a.Reply(0, payload))) == lines
+
+
+def test_names_are_those_of_the_device_and_taken_back():
+    text = "enum kind u8 (off=0, class=1)\nstruct way (from u8, kind kind[2])"
+    types = {one.name: one for one in parse_definitions(text)}
+    line = Described("f", parse_signature("(w way, k kind) (class way, k kind)", types))
+    one = Function(5, line, PythonTypes(), lambda: None)
+    one._prepare()
+    payload = b"\5\0\1\1"
+    result = one._unpack(j2a.Reply(0, payload))
+    assert json_of(result) == {"class": {"from": 5, "kind": ["off", "class"]}, "k": "class"}
+    way, kind = json_of(result).values()
+    assert values_of(one, [json.dumps(way), kind]) == [way, "class"]
+    assert one._pack([way, kind], {}) == payload
+    assert lines_of(one, result)[1] == "k      class"
 
 
 def test_a_failure_says_its_code(run):

@@ -15,7 +15,7 @@ import j2a
 from j2a.errors import LocalError
 from j2a.recording import topic_of
 from j2a.types.arrays import Batch
-from j2a.types.coding import PythonTypes, tuple_class
+from j2a.types.coding import PythonTypes, name_on_wire, tuple_class
 from j2a.types.datasheet import data_sheets
 from j2a.types.descriptors import parse_descriptors
 from j2a.types.header import c_header
@@ -282,3 +282,4 @@ def test_a_structure_whose_name_python_reserves_has_a_class(name):
     assert (kind.__name__, kind(5)[0]) == (f"{name}_", 5)
     twin = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(kind(kind(5))))))
     assert repr(twin) == repr(kind(kind(5)))
+    assert name_on_wire(type(twin), f"{name}_") == name

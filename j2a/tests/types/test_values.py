@@ -25,6 +25,7 @@ struct line (ends point[2], mode mode)
 
 """
 TYPES = {one.name: one for one in parse_interface(DEFINITIONS).types}
+SIMILAR = "enum m u8 (class=0, class_=1)\nstruct s (class u8, class_ u8)\n\n"
 
 
 def codec(fields):
@@ -120,13 +121,24 @@ class Point:
 
 
 @pytest.mark.parametrize(
-    "value", [(1, 2), [1, 2], {"x": 1, "from": 2}, Point(1, 2)], ids=lambda one: type(one).__name__
+    "value",
+    [(1, 2), [1, 2], {"x": 1, "from": 2}, {"x": 1, "from_": 2}, Point(1, 2)],
+    ids=lambda one: type(one).__name__,
 )
 def test_a_structure_may_be_given_in_several_ways(value):
     assert codec("(p point)").pack((value,)) == struct.pack("<2f", 1, 2)
 
 
-@pytest.mark.parametrize("value", [1, "class"])
+def test_a_name_of_the_wire_comes_before_one_of_python():
+    types = PythonTypes()
+    fields = parse_signature(
+        "(s s, m m)", {one.name: one for one in parse_interface(SIMILAR).types}
+    ).parameters
+    assert Codec(fields, types).pack(({"class_": 1, "class": 2}, "class_")) == b"\2\1\1"
+    assert Codec(fields, types).pack(({"class__": 1, "class_": 2}, "class__")) == b"\2\1\1"
+
+
+@pytest.mark.parametrize("value", [1, "class", "class_"])
 def test_an_enumeration_may_be_given_by_name(value):
     assert codec("(m mode)").pack((value,)) == b"\x01"
 
