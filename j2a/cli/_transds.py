@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -151,12 +152,18 @@ def _files(
     if args.c_path is not None:
         yield args.c_path, transducers_header(descriptors, source, args.c_path.name)
     for path, make in (
-        (args.def_path, transds_text),
+        (args.def_path, _shown_transds_text),
         (args.python_path, transducers_module),
         (args.html_path, data_sheets),
     ):
         if path is not None:
             yield path, make(descriptors, source)
+
+
+def _shown_transds_text(descriptors: Descriptors, source: str) -> str:
+    """Return a transds.def whose texts for people show what is not printable: it is read again."""
+    shown = (replace(one, doc=printable(one.doc)) for one in descriptors.transducers)
+    return transds_text(replace(descriptors, transducers=tuple(shown)), source)
 
 
 def _distinct(files: Iterator[tuple[Path, str]], source: Path) -> dict[Path, str]:

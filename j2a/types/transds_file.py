@@ -7,6 +7,7 @@ Rule: each mistake is one error, which tells file, line and column.
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 from j2a_spec.nearest import did_you_mean
@@ -54,6 +55,7 @@ _KIND_OF: Final = {
     **dict.fromkeys(("period", "enabled", "queue", "decimation", "threshold", "trigger"), "sensor"),
 }
 _DIGITS: Final = re.compile(r"([0-9]*)(.*)", re.DOTALL)
+_OCTAL: Final = re.compile(r"(-?)0+([0-9]+)")
 _WHOLE: Final = re.compile(r"-?[0-9]{19,400}")
 _TOP: Final = 1 << 63
 _STRING: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"')
@@ -378,10 +380,26 @@ def transds_text(descriptors: Descriptors, source: str) -> str:
     Raises:
         LocalError: what the board says cannot stand in such a file.
     """
-    lines = [f"/* The transducers of {_comment(source)}, written by j2a transds. */"]
-    lines += [_definition(one) for one in descriptors.types]
-    lines += [_entry(one) for one in descriptors.transducers]
-    return "".join(f"{line}\n" for line in lines)
+    transducers = [replace(one, attributes=_attributes(one)) for one in descriptors.transducers]
+    due = replace(descriptors, transducers=tuple(transducers))
+    lines = [*map(_definition, due.types), *map(_entry, transducers)]
+    text = "".join(f"{line}\n" for line in lines)
+    _check_meaning(text, due)
+    return f"/* The transducers of {_comment(source)}, written by j2a transds. */\n{text}"
+
+
+def _check_meaning(text: str, due: Descriptors) -> None:
+    """Refuse a file that would not be read, or would be of another board."""
+    all_due = (*due.types, *due.transducers)  # each has a line of the file
+    try:
+        again = read_transds(text)
+    except SignatureError as error:
+        name = all_due[(error.line or 1) - 1].name
+        raise LocalError(f"{name} cannot stand in a transds.def: {error.reason}") from None
+    read = {str(one) for one in (*again.types, *again.transducers)}
+    for one in all_due:
+        if str(one) not in read:
+            raise LocalError(f"{one.name} cannot stand in a transds.def: it would be another one")
 
 
 def _comment(text: str) -> str:
@@ -409,7 +427,12 @@ def _field(field: Field) -> str:
 
 
 def _c_number(text: str) -> str:
-    """Return a number as C can read it: decimal constants end at the largest int64_t."""
+    """Return a number as C can read it: decimal constants end at the largest int64_t.
+
+    No zero stands in front of one, which would be octal.
+    """
+    if match := _OCTAL.fullmatch(text):
+        text = f"{match[1]}{match[2]}"
     if not _WHOLE.fullmatch(text) or -_TOP < int(text) < _TOP:
         return text
     number = int(text)
@@ -428,20 +451,29 @@ def _refuse_c_words(owner: str, names: Iterable[str]) -> None:
             raise LocalError(f"{owner}: {name} is a word of C, so it cannot stand in a transds.def")
 
 
+def _attributes(one: Transducer) -> tuple[tuple[str, str], ...]:
+    """Return the attributes as a file has them: always with those of the first seven arguments."""
+    key = "na" if one.is_sensor else "safe"
+    found = {"prefix": one.prefix or one.name, "model": one.model or "unknown"}
+    found |= {key: one.get(key) or NONE}
+    found |= {name: value for name, value in one.attributes if name not in found}
+    for name, value in found.items():
+        if name in KEYS and name not in ("prefix", *_TEXTS):
+            found[name] = ", ".join(map(_c_number, value.split(", ")))
+    return tuple(found.items())
+
+
 def _entry(one: Transducer) -> str:
     _refuse_c_words(one.name, (one.name,))
     kind = str(one.type).partition(" ")[0]
-    key = "na" if one.is_sensor else "safe"
-    first: list[str] = [one.name, str(one.id), one.prefix or one.name]
-    first += [_argument(one, "model", one.model or "unknown"), str(one.channels)]
-    first += [_C_NAMES.get(kind, _element(kind)), _c_number(one.get(key) or NONE)]
+    (_, prefix), (_, model), (_, na), *others = one.attributes
+    first: list[str] = [one.name, str(one.id), prefix]
+    first += [_argument(one, "model", model), str(one.channels)]
+    first += [_C_NAMES.get(kind, _element(kind)), na]
     items = [f"(unit, {one.unit})"] if one.unit else []
-    for name, value in one.attributes:
-        if name not in ("prefix", "model", key):
-            numbers = ", ".join(map(_c_number, value.split(", ")))
-            written = numbers if name in KEYS and name != "topic" else value
-            text = _argument(one, name, written, can_have_commas=True)
-            items.append(f"({name}, {text})" if text else f"({name})")
+    for name, value in others:
+        text = _argument(one, name, value, can_have_commas=True)
+        items.append(f"({name}, {text})" if text else f"({name})")
     if one.doc:
         text = one.doc.replace("\\", "\\\\").replace('"', '\\"')
         text = re.sub(r"\?(?=\?)", '?" "', text)  # no trigraphs
@@ -451,7 +483,7 @@ def _entry(one: Transducer) -> str:
 
 
 def _argument(one: Transducer, key: str, value: str, can_have_commas: bool = False) -> str:
-    """Return a value, unless a compiler would take it for something else."""
+    """Return a value, unless a compiler, or who reads the file, would take it for another one."""
     depth = 0
     bare = value if key in _TEXTS else _STRING.sub("", value)
     for character in bare:
@@ -459,6 +491,8 @@ def _argument(one: Transducer, key: str, value: str, can_have_commas: bool = Fal
         if depth < 0 or character in "\"'#\\" or (character == "," and not can_have_commas):
             depth = 1
             break
-    if depth or "??" in value or "//" in bare or "/*" in bare or bare != " ".join(bare.split()):
+    is_other = "??" in value or "//" in bare or "/*" in bare or bare != " ".join(bare.split())
+    is_other |= key == "unit" or not value.isprintable()  # (unit, mm) is the unit itself
+    if depth or is_other:
         raise LocalError(f"{one.name}: {key} {value!r} cannot stand in a transds.def")
     return value

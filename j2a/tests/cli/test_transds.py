@@ -177,6 +177,8 @@ def test_characters_that_turn_lines_around_are_shown_in_files(run, tmp_path):
         text = (tmp_path / name).read_text()
         assert text.replace("\n", "").replace("\t", "").isprintable(), name
         assert "two" in text
+    [one] = j2a.load_transds(tmp_path / "b.def").transducers
+    assert one.doc == r"one\u202etwo\x9bthree\u2028four"
 
 
 @pytest.mark.parametrize(

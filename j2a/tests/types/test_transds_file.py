@@ -487,6 +487,44 @@ class TestWriting:
         with pytest.raises(j2a.LocalError, match=r"cannot stand in a transds\.def"):
             transds_text(descriptors, "x")
 
+    @pytest.mark.parametrize(
+        ("text", "why"),
+        [
+            ("\nsensor a 1 1 u8\n scale 0\n", "a cannot stand in a .*: with a scale of 0 all"),
+            ("\nsensor bool 1 1 u8\n", "bool cannot stand in .*: C99 makes _Bool of bool"),
+            ("\nsensor true 1 1 u8\n", "true cannot stand in"),
+            (
+                "\nsensor a 1 1 u8\n prefix p\nsensor b 2 1 u8\n prefix p\n",
+                "b cannot stand in .*: a has the prefix p, too",
+            ),
+            ("\nactuator a 1 1 u8\n range 1, 9\n", "a cannot .*: none stands for 0, which is out"),
+            ("\nsensor a 1 1 u8\n watchdog 5\n", "a cannot .*: watchdog is for actuators"),
+            (
+                f"struct s ({', '.join(f'f{n} u8' for n in range(33))})\n\nsensor a 1 1 s\n",
+                "s cannot stand in .*: J2A_STRUCT takes 32",
+            ),
+            (
+                "struct s (a u8 /*)\nstruct t (b u8 */m)\n\nsensor a 1 1 u8\n",
+                "s cannot stand in .*: it would be another",
+            ),
+            ("\nsensor a 1 1 u8\n unit mm\n", "a: unit 'mm' cannot stand in"),
+            ("\nsensor a 1 1 u8\n model 10\xa0mm\n", r"a: model '10\\xa0mm' cannot stand in"),
+            ("\nsensor a 1 1 u8\n note b)\u202e\n", "a: note .* cannot stand in"),
+            ('\nsensor a 1 1 u8\n note "\u202e"\n', "a: note .* cannot stand in"),
+        ],
+    )
+    def test_what_would_not_be_read_or_be_another_board_is_an_error(self, text, why):
+        with pytest.raises(LocalError, match=why):
+            transds_text(parse_descriptors(text), "x")
+
+    def test_numbers_with_zeros_in_front_are_not_octal(self):
+        text = "\nactuator a 001 01 i16\n safe -010\n range -0200, 0x0F\n watchdog 00\n"
+        descriptors = parse_descriptors(text)
+        [one] = descriptors.transducers
+        [found] = read_transds(transds_text(descriptors, "x")).transducers
+        assert (found.id, found.safe, found.range) == (1, -10, (-200, 15))
+        assert (one.safe, one.range, found.watchdog_ms) == (-10, (-200, 15), 0)
+
     def test_a_name_that_c_reserves_is_an_error(self):
         with pytest.raises(j2a.LocalError, match=r"int is a word of C, so it cannot stand in"):
             transds_text(parse_descriptors("\nsensor int 1 1 u8\n"), "x")
