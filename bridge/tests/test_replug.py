@@ -32,15 +32,17 @@ async def held(growth, before=None):
 
     A connection that is tried meanwhile has a descriptor for a moment, and on a computer that does
     much else a thread that ends has its time for it, and a sink for what it was given: where there
-    are more than before, or as many more bytes as `growth`, it is looked for longer. Threads of the
-    pool of asyncio are left out: it has as many as were ever wanted at once.
+    are more than before, or as many more bytes as `growth`, it is looked for longer. Threads that a
+    link or a loop has for good once it wanted one are left out: those of the pool of asyncio, and
+    the one in which a device writes SIFs that its link did not take at once.
     """
     looks = []
     end = time.monotonic() + LINGER_S
     least = before
     while len(looks) < 20 or (before and is_more(least, before, growth) and time.monotonic() < end):
         gc.collect()
-        threads = [one for one in threading.enumerate() if not one.name.startswith("asyncio_")]
+        names = [one.name for one in threading.enumerate()]
+        threads = [one for one in names if not one.startswith(("asyncio_", "j2a SIFs "))]
         files = os.listdir("/proc/self/fd")  # noqa: PTH208 - a folder that changes
         looks.append((len(files), len(threads), tracemalloc.get_traced_memory()[0]))
         least = tuple(map(min, zip(*looks, strict=True)))

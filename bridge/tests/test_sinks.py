@@ -96,6 +96,12 @@ def test_fields_beside_one_that_is_no_number_are_not_sent_again():
     assert list(numbers(update)) == [(7000, "0/b", 2.5), (9000, "1/b", 2.5)]
 
 
+def test_fields_have_the_names_that_the_device_gives_them():
+    text = "J2A_STRUCT(way, (u8, from), (u8, to))\nSENSOR(s, 0, s, M, 1, way, none)"
+    update = update_of(topic_of(text), struct.pack("<QBB", 7, 1, 2))
+    assert [name for _, name, _ in numbers(update)] == ["0/from", "0/to"]
+
+
 async def sent(device, url, sink, receiver):
     async with bridging(config_for(url, sinks=(sink, "kept"))) as bridge:
         await until(lambda: "quad" in bridge._flows)

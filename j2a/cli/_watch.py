@@ -434,7 +434,9 @@ def _values_of(sif: j2a.Sif, shapes: _Shapes, types: Decoder | None) -> tuple[ob
     shape, codec = shapes[sif.opcode]
     named = list(zip(shape.fields, codec.unpack(sif.payload), strict=True))
     units = {field.name: f" {field.type.unit}" if field.type.unit else "" for field in shape.fields}
-    text = ", ".join(f"{field.name}={plain(one)}{units[field.name]}" for field, one in named)
+    text = ", ".join(
+        f"{field.name}={plain(one, field.type)}{units[field.name]}" for field, one in named
+    )
     return {field.name: json_of(one) for field, one in named}, f"{shape.name}({text})"
 
 

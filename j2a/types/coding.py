@@ -6,6 +6,7 @@ a tuple for an array. Rules: `struct` does the work where all is scalar; everyth
 is wrong, so that the fast way needs no checks of its own.
 """
 
+import contextlib
 import dataclasses
 import keyword
 import struct
@@ -20,7 +21,14 @@ from j2a_spec.constants import MAX_PAYLOAD
 from j2a.errors import WrongArgument
 from j2a.types.model import OPEN, Element, Enumeration, Field, Structure, Type, integer_range
 
-__all__ = ["NUMBER_CODES", "Codec", "PayloadMismatchError", "PythonTypes", "name_on_wire"]
+__all__ = [
+    "NUMBER_CODES",
+    "Codec",
+    "PayloadMismatchError",
+    "PythonTypes",
+    "items_of",
+    "name_on_wire",
+]
 
 NUMBER_CODES: Final = {
     "u8": "B",
@@ -198,7 +206,7 @@ class Codec:
 
     def _pack_tail(self, field: Field, value: Any) -> bytes:
         if self._element is not None:
-            items = _items(value, field)
+            items = items_of(value, field)
             return b"".join(self._element.pack_item(item, field.name) for item in items)
         if field.type.element == "text":
             if not isinstance(value, str):
@@ -294,7 +302,7 @@ def _part(kind: Type, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
     count, width = kind.count, len(code)
 
     def flatten_all(value: Any, name: str, flat: list[Any]) -> None:
-        items = _items(value, Field(name, kind))
+        items = items_of(value, Field(name, kind))
         if len(items) != count:
             raise WrongArgument(f"{name} is an array of {count}, not of {len(items)}")
         for item in items:
@@ -306,10 +314,16 @@ def _part(kind: Type, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
     return code * count, flatten_all, build_all
 
 
-def _items(value: Any, field: Field) -> Sequence[Any]:
-    if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
-        raise WrongArgument(f"{field.name} is an array, {field.type}, not {value!r:.60}")
-    return value if isinstance(value, Sequence) else list(value)
+def items_of(value: Any, field: Field) -> Sequence[Any]:
+    """Return the values of an array, out of what a user gives for it.
+
+    Raises:
+        WrongArgument: it is none, as text, a mapping or one number of NumPy.
+    """
+    if not isinstance(value, str | Mapping):
+        with contextlib.suppress(TypeError):
+            return value if isinstance(value, Sequence) else list(value)
+    raise WrongArgument(f"{field.name} is an array, {field.type}, not {value!r:.60}")
 
 
 def _element(element: Element, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
@@ -407,7 +421,7 @@ def _members(value: Any, names: list[str], attributes: list[list[str]]) -> Seque
         attributes: what objects may call the fields, that of the first list if they have all.
     """
     if isinstance(value, Mapping):
-        keys = next((keys for keys in (names, attributes) if set(value) == set(keys)), None)
+        keys = next((own for own in (names, *attributes) if set(value) == set(own)), None)
         return None if keys is None else [value[key] for key in keys]
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return value if len(value) == len(names) else None

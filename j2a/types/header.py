@@ -80,7 +80,7 @@ class CDefinitions:
     """
 
     def __init__(self, *taken: str) -> None:
-        self.names = CNames(*taken)
+        self.names = CNames(*taken, "std")  # a namespace in C++
         self._types: dict[str, str] = {}
         self._macros = {*taken}
 

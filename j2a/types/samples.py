@@ -9,7 +9,7 @@ here, before anything is sent (J2A-TRANS-025).
 import contextlib
 import math
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any, Final
@@ -18,7 +18,7 @@ from j2a_spec import constants as c
 
 from j2a.errors import WrongArgument
 from j2a.events import Reading, Readings
-from j2a.types.coding import NUMBER_CODES, Codec, PayloadMismatchError, PythonTypes
+from j2a.types.coding import NUMBER_CODES, Codec, PayloadMismatchError, PythonTypes, items_of
 from j2a.types.model import Enumeration, Field, Structure, Type
 from j2a.types.transducers import (
     LOST_BYTES,
@@ -224,9 +224,8 @@ class SampleCodec:
             return value
         if not self._is_array:
             return self._raw_number(value)
-        if isinstance(value, str | bytes) or not isinstance(value, Iterable):
-            raise WrongArgument(f"{self.transducer.name} takes an array, not {value!r:.60}")
-        return [self._raw_number(one) for one in value]
+        field = Field(self.transducer.name, self.transducer.type)
+        return [self._raw_number(one) for one in items_of(value, field)]
 
     def _raw_number(self, value: Any) -> int | float:
         if not isinstance(value, Real):

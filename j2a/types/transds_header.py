@@ -35,7 +35,6 @@ def _lines(descriptors: Descriptors, source: str, file: str) -> Iterator[str]:
     yield from (f"#ifndef {guard}", f"#define {guard}", "")
     yield from ("#include <stdbool.h>", "#include <stdint.h>", "")
     definitions = CDefinitions(guard)
-    definitions.names.give("std")  # a namespace in C++; members may be called so
     yield from definitions.lines(descriptors.types)
     # In C++ a member hides a type of its name, and macros replace it in C, too.
     members = definitions.names.give("time_us"), definitions.names.give("value")

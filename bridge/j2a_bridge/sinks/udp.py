@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, ClassVar
 
 from j2a import LocalError
+from j2a.types.coding import name_on_wire
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Update, port_of
 from j2a_bridge.topics import Topic
 
@@ -139,7 +140,7 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, float]]:
             yield name, value if isinstance(value, float) else int(value)
     elif hasattr(value, "_asdict"):
         for key, one in value._asdict().items():
-            yield from _flat(f"{name}/{key}", one)
+            yield from _flat(f"{name}/{name_on_wire(type(value), key)}", one)
     elif isinstance(value, list | tuple):
         for at, one in enumerate(value):
             yield from _flat(f"{name}/{at}", one)

@@ -28,6 +28,7 @@ from j2a.types.model import (
     Type,
     integer_range,
 )
+from j2a.types.parser import parse_interface
 from j2a.types.ros import ros1_package, ros2_definition, ros2_package
 from j2a.types.samples import SampleCodec
 from j2a.types.transds_file import read_transds, transds_text
@@ -168,6 +169,19 @@ def test_readings_have_values_of_any_name_of_a_type(tmp_path, need, compiler, na
     assert f"/* sensor a 1 1 {name}\n    model x */\n" in text
     (tmp_path / "board.c").write_text(text)
     command = [*compiler, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", "board.c"]
+    done = subprocess.run(
+        command, cwd=tmp_path, check=False, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_type_called_std_compiles_as_cpp(tmp_path, need):
+    need("g++")
+    interface = parse_interface("struct std (a u8)\n\nf(a std) u8\n")
+    (tmp_path / "board.c").write_text(
+        "#include <stdlib.h>\n" + c_header(interface, "00000000", "x")
+    )
+    command = ["g++", "-std=c++17", "-xc++", "-Wall", "-Werror", "-fsyntax-only", "board.c"]
     done = subprocess.run(
         command, cwd=tmp_path, check=False, capture_output=True, text=True, timeout=60
     )

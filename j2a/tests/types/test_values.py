@@ -13,8 +13,10 @@ from j2a_spec import interface as oracle
 
 from j2a.errors import WrongArgument
 from j2a.types.coding import Codec, PayloadMismatchError, PythonTypes, python_names
+from j2a.types.descriptors import parse_descriptors
 from j2a.types.model import Field, Interface, Signature
 from j2a.types.parser import parse_interface, parse_signature
+from j2a.types.samples import SampleCodec
 
 from .strategies import enumerations, field_lists, filled
 
@@ -215,6 +217,7 @@ def test_a_payload_of_another_size_is_refused(fields, payload):
         ("(a bool)", [1, 2], "a is True or False"),
         ("(a bool[2])", [[1, 2], [1, 2]], "a is True or False"),
         ("(m mode)", [1, 2], "m is one of off"),
+        ("(a i16[])", 5, r"a is an array, i16\[\], not"),
     ],
 )
 def test_an_array_of_numpy_is_no_number(fields, value, message):
@@ -241,6 +244,13 @@ def test_what_pandas_has_for_no_value_is_refused(fields):
 def test_the_keys_of_a_mapping_are_no_array(fields):
     with pytest.raises(WrongArgument, match="a is an array"):
         codec(fields).pack(({1: 2},))
+
+
+def test_the_keys_of_a_mapping_set_no_actuator():
+    [actuator] = parse_descriptors("\nactuator a 1 1 i16[1]\n scale 0.5\n").transducers
+    with pytest.raises(WrongArgument, match="a is an array"):
+        SampleCodec(actuator, PythonTypes()).raw_of({1: 2})
+    assert SampleCodec(actuator, PythonTypes()).raw_of((2.5,)) == [5]
 
 
 def test_the_limits_are_admitted():
