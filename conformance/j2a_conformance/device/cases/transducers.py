@@ -1793,6 +1793,7 @@ class Trigger(_TransducerCase):
             due_us = max(at_us, now_us)
         if board.time_us() >= now_us + _DUE_US:  # a stall: it was replaced too late
             board.wait_until(max(due_us, now_us + _DUE_US) + _LATER_US)
+            board.peer.settle()  # a device that stalls may measure later still
             return
         since = self._measured(board, one, since, due_us)
         board.wait_until(now_us + _DUE_US + _LATER_US)
