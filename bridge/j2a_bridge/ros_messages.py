@@ -224,7 +224,8 @@ def _diagnoses(status: Status) -> Iterator[tuple[int, str, str, str, dict[str, s
             facts["clock uncertainty (us)"] = f"{board.uncertainty_us:.1f}"
         for topic in board.topics:
             latency = "" if topic.latency_ms is None else f", {topic.latency_ms:.2f} ms"
-            facts[topic.name] = f"{topic.rate_hz:.1f} Hz{latency}, {topic.lost} lost"
+            skipped = f", {topic.skipped} skipped" if topic.skipped else ""
+            facts[topic.name] = f"{topic.rate_hz:.1f} Hz{latency}, {topic.lost} lost{skipped}"
         text = board.problem or "samples come"
         yield level, board.name or board.url, text, board.identity, facts
     for sink in status.sinks:

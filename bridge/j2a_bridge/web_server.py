@@ -241,10 +241,10 @@ class PageServer:
 
     async def _socket(self, request: Any) -> Any:
         self._check(request)
+        if len(self._pages) >= _MAX_PAGES:  # first, so that a page can ask why it was refused
+            raise web.HTTPServiceUnavailable(text=f"{_MAX_PAGES} pages are open; close one of them")
         if request.headers.get("Origin") is None:
             raise web.HTTPForbidden(text="Only the page itself may connect here.\n")
-        if len(self._pages) >= _MAX_PAGES:
-            raise web.HTTPServiceUnavailable(text="Too many pages are open.\n")
         socket = web.WebSocketResponse(max_msg_size=_MAX_MESSAGE, heartbeat=_PING_S)
         await socket.prepare(request)
         page = _Page(self._sink, socket, request.transport)

@@ -544,6 +544,21 @@ async def reconnect(page, sink):
 
 
 @needs_browser
+def test_a_page_too_many_says_so(blank, monkeypatch):
+    async def work():
+        config = config_for(sinks=("web:0",))
+        async with bridging(config) as bridge, blank() as page:
+            with monkeypatch.context() as patch:
+                patch.setattr(web_server, "_MAX_PAGES", 0)
+                await page.open(bridge.runners[0].sink.server.url)
+                link = "document.getElementById('link')?.textContent"
+                await page.until(f"{link}?.includes('0 pages are open; close one of them')")
+            await page.until(f"{link} === 'connected'")
+
+    asyncio.run(work())
+
+
+@needs_browser
 def test_functions_are_asked_for_again_after_a_reconnect(shown, monkeypatch):
     """The board may have become another one meanwhile."""
     orders, asked = web_server._ORDERS, []

@@ -351,7 +351,7 @@ def test_messages_for_actuators_are_read_as_raw_values_and_a_time(distro: str) -
 @pytest.mark.parametrize("distro", DISTROS)
 def test_diagnostics_tell_what_is_wrong(distro: str) -> None:
     ros = messages_for(distro)
-    topics = (TopicStatus("quad", 10, 99.9, 0.5, 3, 0),)
+    topics = (TopicStatus("quad", 10, 99.9, 0.5, 3, 0), TopicStatus("thin", 10, 5.0, None, 0, 7))
     status = Status(
         "host",
         (
@@ -368,6 +368,7 @@ def test_diagnostics_tell_what_is_wrong(distro: str) -> None:
     assert found["j2a: tcp://y"].message == "nothing listens there"
     facts = {one.key: one.value for one in found["j2a: left"].values}
     assert facts["quad"] == "99.9 Hz, 0.50 ms, 3 lost"
+    assert facts["thin"] == "5.0 Hz, 0 lost, 7 skipped"
     assert facts["clock"] == "locked"
 
 

@@ -49,10 +49,19 @@ function connect() {
   socket.addEventListener("message", (event) => take(JSON.parse(event.data)));
   socket.addEventListener("close", () => {
     link("not connected; trying again");
+    tellRefusal();
     for (const answer of answers.values()) answer({ ok: false, message: "the connection was lost" });
     answers.clear();
     setTimeout(connect, 1000);
   });
+}
+
+async function tellRefusal() {
+  // Why a WebSocket is refused no browser tells; the server says it to an ordinary request.
+  const answer = await fetch("ws").catch(() => null);
+  if (answer?.status !== 503) return;
+  const text = await answer.text();
+  if (socket.readyState !== WebSocket.OPEN) link(`not connected: ${text}; trying again`);
 }
 
 function link(text) {
