@@ -87,7 +87,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         except RuntimeError:
             raise LocalError("make a j2a.AsyncFleet in a coroutine: no event loop runs") from None
         self._identify = identify
-        self._calls = AsyncCalls(self._reporter.report)
+        self._calls = AsyncCalls(self._handler_failed, (asyncio.CancelledError,))
         self._changed = asyncio.Event()  # replaced when it is set
         self._tasks: dict[asyncio.Task[None], _Member] = {}
         try:
@@ -238,6 +238,12 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
     def _deliver(self, sample: Sample) -> Awaitable[None] | None:
         return self._calls.call(self._takers(sample.name), sample)
 
+    def _handler_failed(self, error: BaseException, event: Any) -> None:
+        # A handler may meet a cancelled future; only cancelling its task ends that.
+        if _is_cancelled():
+            raise error
+        self._reporter.report(error, event)
+
     async def _tell(self, change: BoardChange | None) -> None:
         if change is not None and (rest := self._calls.call(self._changes.matching(), change)):
             await rest
@@ -323,7 +329,9 @@ class _Member(Member[AsyncClient]):
                 return board, await self._until_stopped(self._watch(client))
         except J2AError as error:
             return board, error
-        except Exception as error:  # of `identify`, which is the user's
+        except (Exception, asyncio.CancelledError) as error:  # of `identify`, which is the user's
+            if _is_cancelled():
+                raise
             return board, LocalError(f"identify failed: {type(error).__name__}: {error}")
         finally:
             self.engine = None
@@ -354,3 +362,9 @@ class _Member(Member[AsyncClient]):
                 if heartbeat.failed(error, is_open=client.is_open):
                     return error
         return client._session.end_reason or OpenFailed("taken out", outcome=Outcome.NOT_SENT)
+
+
+def _is_cancelled() -> bool:
+    """Whether somebody has cancelled the task that runs."""
+    task = asyncio.current_task()
+    return task is not None and task.cancelling() > 0

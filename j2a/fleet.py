@@ -249,7 +249,8 @@ class Fleet(FleetBase[Client, "_Member"]):
     def _call(self, handler: Callable[[Any], Any], event: Sample | BoardChange) -> None:
         try:
             handler(event)
-        except Exception as error:  # a handler of the user may raise anything
+        except BaseException as error:
+            # Also sys.exit(): it would end the thread of the board, which nobody would open again.
             self._reporter.report(error, event)
 
 
@@ -292,7 +293,7 @@ class _Member(Member[Client]):
                     reason = self._watch(client)
             except J2AError as error:
                 reason = error
-            except Exception as error:  # of `identify`, which is the user's
+            except BaseException as error:  # of `identify`, which is the user's; also sys.exit()
                 reason = LocalError(f"identify failed: {type(error).__name__}: {error}")
             self.is_open = False
             fleet._tell(fleet._go(self, board, reason))

@@ -14,6 +14,7 @@ from j2a.errors import (
     CallTimeout,
     J2AError,
     LinkClosed,
+    LinkStalled,
     LocalError,
     Outcome,
     UnknownBoard,
@@ -251,7 +252,8 @@ class Heartbeat:
 
     def failed(self, error: J2AError, *, is_open: bool) -> bool:
         """Note that the echo has failed; return whether that ends the link."""
-        if isinstance(error, CallTimeout):
+        # Of a stalled link the calls of the user have taken all seqs, and none was answered either.
+        if isinstance(error, CallTimeout | LinkStalled):
             self._unanswered += 1
             return self._unanswered == _SILENT_AFTER
         self._unanswered = 0  # refused, so it is there

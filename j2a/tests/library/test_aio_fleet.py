@@ -165,6 +165,61 @@ class TestBoards:
                 assert (await change()).is_here
 
     @in_event_loop
+    async def test_one_whose_handler_of_changes_meets_a_cancelled_future_is_tried_again(self):
+        url, errors = make_url(), []
+
+        async def meet(_change):
+            future = asyncio.get_running_loop().create_future()
+            future.cancel()
+            await future
+
+        async with fleet_of(on_handler_error=lambda *what: errors.append(what)) as fleet:
+            fleet.on_change(meet)
+            change = changes_of(fleet)
+            with served(make_device("A3"), url):
+                fleet.add(url)
+                here = await change()
+                assert await fleet["A3"].echo(b"hi") == b"hi"
+                assert [(type(error), one) for error, one in errors] == [
+                    (asyncio.CancelledError, here)
+                ]
+            gone = await change()
+            assert (gone.board, gone.is_here, len(fleet)) == ("A3", False, 0)
+            assert (await change()).board is None  # cannot be opened
+            with served(make_device("A3"), url):
+                assert (await change()).is_here
+
+    @in_event_loop
+    async def test_one_that_meets_a_cancelled_future_when_it_is_asked_who_it_is(self):
+        answers = iter([asyncio.CancelledError(), "A3"])
+
+        async def identify(_client):
+            answer = next(answers)
+            if isinstance(answer, asyncio.CancelledError):
+                raise answer
+            return answer
+
+        with served(make_device()) as url:
+            async with fleet_of(identify=identify) as fleet:
+                change = changes_of(fleet)
+                fleet.add(url)
+                failed = await change()
+                assert not failed.is_here
+                assert str(failed.reason) == "identify failed: CancelledError: "
+                assert (await change()).board == "A3"
+
+    @in_event_loop
+    async def test_one_that_is_cancelled_from_outside_ends(self):
+        async with fleet_of(identify=lambda _client: asyncio.sleep(PATIENCE_S)) as fleet:
+            with served(make_device()) as url:
+                fleet.add(url)
+                [task] = fleet._tasks
+                await asyncio.sleep(SOON_S)
+                task.cancel()
+                await asyncio.wait([task], timeout=PATIENCE_S)
+                assert task.cancelled()
+
+    @in_event_loop
     async def test_two_with_one_serial_number(self, caplog):
         with served(make_device("A3")) as first, served(make_device("A3")) as second:
             async with fleet_of(first) as fleet:
@@ -394,16 +449,21 @@ class TestSamples:
                 assert await seen.get() == ("left", 1)
 
     @in_event_loop
-    async def test_a_handler_that_fails_stops_no_other(self):
+    @pytest.mark.parametrize("raised", [AttributeError, asyncio.CancelledError])
+    async def test_a_handler_that_fails_stops_no_other(self, raised):
         device, errors, seen = make_device("A3"), [], asyncio.Queue()
+
+        async def fail(_sample):
+            raise raised
+
         with served(device) as url:
             async with fleet_of(url, on_handler_error=lambda *what: errors.append(what)) as fleet:
-                fleet.on_sample(lambda sample: sample.nothing)
+                fleet.on_sample(fail)
                 fleet.on_sample(seen.put)
                 await fleet.wait("A3", timeout=PATIENCE_S)
                 device.sense("level", 0, 1)
-                sample = await seen.get()
-                assert [(type(error), one) for error, one in errors] == [(AttributeError, sample)]
+                sample = await asyncio.wait_for(seen.get(), PATIENCE_S)
+                assert [(type(error), one) for error, one in errors] == [(raised, sample)]
 
 
 class TestUsb:

@@ -2,6 +2,7 @@
 
 import contextlib
 import queue
+import sys
 import threading
 from collections import deque
 from itertools import count
@@ -199,6 +200,67 @@ class TestBoards:
                 mute.clear()
                 mute_over.set()
                 assert changes.get(timeout=PATIENCE_S).is_here
+
+    def test_one_whose_link_is_stalled_is_gone_and_tried_again(self):
+        device, url = make_device("A3"), make_url()
+        is_mute, is_over = threading.Event(), threading.Event()
+        answer = device._execute
+
+        def execute(opcode, payload):
+            if is_mute.is_set():
+                is_over.wait(PATIENCE_S)
+            return answer(opcode, payload)
+
+        device._execute = execute
+        with fleet_of(timeout=1.0, heartbeat=0.5) as fleet:
+            changes = changes_of(fleet)
+            with served(device, url):
+                fleet.add(url)
+                assert changes.get(timeout=PATIENCE_S).is_here
+                board = fleet["A3"]
+                is_mute.set()
+                with pytest.raises(j2a.LinkError):  # stalled; on a slow machine gone by then
+                    while True:
+                        with contextlib.suppress(j2a.CallTimeout):
+                            board.echo(timeout=0.0005)
+                gone = changes.get(timeout=PATIENCE_S)
+                assert (gone.board, gone.is_here) == ("A3", False)
+                is_mute.clear()
+                is_over.set()
+                assert changes.get(timeout=PATIENCE_S).is_here
+
+    def test_one_whose_handler_of_changes_exits_is_kept_and_tried_again(self):
+        url, errors = make_url(), queue.SimpleQueue()
+        with fleet_of(on_handler_error=lambda *what: errors.put(what)) as fleet:
+            fleet.on_change(lambda _change: sys.exit(1))
+            changes = changes_of(fleet)
+            with served(make_device("A3"), url):
+                fleet.add(url)
+                here = changes.get(timeout=PATIENCE_S)
+                assert fleet["A3"].echo(b"hi") == b"hi"
+                error, event = errors.get(timeout=PATIENCE_S)
+                assert (type(error), event) == (SystemExit, here)
+            gone = changes.get(timeout=PATIENCE_S)
+            assert (gone.board, gone.is_here, len(fleet)) == ("A3", False, 0)
+            assert changes.get(timeout=PATIENCE_S).board is None  # cannot be opened
+            with served(make_device("A3"), url):
+                assert changes.get(timeout=PATIENCE_S).is_here
+
+    def test_one_that_exits_when_it_is_asked_who_it_is(self):
+        answers = iter([SystemExit(1), "A3"])
+
+        def identify(_client):
+            answer = next(answers)
+            if isinstance(answer, SystemExit):
+                raise answer
+            return answer
+
+        with served(make_device()) as url, fleet_of(identify=identify) as fleet:
+            changes = changes_of(fleet)
+            fleet.add(url)
+            change = changes.get(timeout=PATIENCE_S)
+            assert (change.is_here, str(change.reason)) == (False, "identify failed: SystemExit: 1")
+            assert changes.get(timeout=PATIENCE_S).board == "A3"
 
     def test_one_that_answers_stays(self):
         heard = threading.Event()
@@ -515,19 +577,24 @@ class TestSamples:
             assert few.lost == 3
             assert [few.wait(PATIENCE_S).values for _ in range(2)] == [(3,), (4,)]
 
-    def test_a_handler_that_fails_stops_no_other(self):
+    @pytest.mark.parametrize("raised", [AttributeError, SystemExit])
+    def test_a_handler_that_fails_stops_no_other(self, raised):
         device, errors = make_device("A3"), deque()
+
+        def fail(_sample):
+            raise raised
+
         seen = queue.SimpleQueue()
         with (
             served(device) as url,
             fleet_of(url, on_handler_error=lambda *what: errors.append(what)) as fleet,
         ):
-            fleet.on_sample(lambda sample: sample.nothing)
+            fleet.on_sample(fail)
             fleet.on_sample(seen.put)
             fleet.wait("A3", timeout=PATIENCE_S)
             device.sense("level", 0, 1)
             sample = seen.get(timeout=PATIENCE_S)
-            assert [(type(error), one) for error, one in errors] == [(AttributeError, sample)]
+            assert [(type(error), one) for error, one in errors] == [(raised, sample)]
 
 
 class FakeWatch:
