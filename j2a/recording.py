@@ -22,7 +22,7 @@ from j2a_spec.constants import TRANSD_TOPIC
 
 from j2a.errors import LocalError
 from j2a.events import Sample, immutable
-from j2a.io.mcap_file import END, About, ChannelRecord, McapFile
+from j2a.io.mcap_file import END, LATEST_NS, About, ChannelRecord, McapFile
 from j2a.io.whole_file import WholeFile
 from j2a.protocol.saved_settings import SavedSettings, dump
 from j2a.types.cdr import SampleMessage
@@ -206,13 +206,16 @@ class Recorder:
         Args:
             board: the name of its board.
             sample: as a sensor gives it.
-            time_ns: when it came, in nanoseconds since 1970.
+            time_ns: when it came, in nanoseconds since 1970, 0 to 2**63 - 1.
 
         Raises:
-            LocalError: no such sensor was announced, or the recorder is closed.
+            LocalError: no such sensor was announced, the time is none, or the recorder is closed.
             ValueError: the sample cannot be a message.
             OSError: it cannot be written, such as on a full disk.
         """
+        # Here, because the package mcap would stop amid a record, or write what readers refuse.
+        if not isinstance(time_ns, int) or not 0 <= time_ns < LATEST_NS:
+            raise LocalError(f"time_ns is a number of nanoseconds since 1970, not {time_ns!r:.40}")
         self._do(partial(self._write, board, sample, time_ns))
 
     def flush(self) -> None:

@@ -17,7 +17,7 @@ from typing import IO, Any, Final, NamedTuple
 
 from j2a.errors import LocalError
 
-__all__ = ["END", "About", "ChannelRecord", "McapFile", "MessageRecord"]
+__all__ = ["END", "LATEST_NS", "About", "ChannelRecord", "McapFile", "MessageRecord"]
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _FOOTER, _CHANNEL, _MESSAGE, _CHUNK, _METADATA = 0x02, 0x04, 0x05, 0x06, 0x0C
@@ -35,7 +35,7 @@ _MOST_BYTES: Final = 1 << 26
 """Of a message, and of a chunk before and after its compression."""
 _MOST_TIMES: Final = 512
 """So much longer a chunk may be than its compression; the dullest samples come to 140 times."""
-_LATEST_NS: Final = 1 << 63
+LATEST_NS: Final = 1 << 63
 """Times fit into a signed number, as tables and messages of others have them."""
 
 
@@ -154,6 +154,8 @@ class McapFile:
     def _note_times(self, head: bytes) -> None:
         if len(head) == _TIMES.size:
             first_ns, last_ns = _TIMES.unpack(head)
+            if not last_ns or not first_ns <= last_ns < LATEST_NS:
+                return  # of a chunk without messages both are 0; others are damage
             known = self.times_ns or (first_ns, last_ns)
             self.times_ns = min(first_ns, known[0]), max(last_ns, known[1])
 
@@ -175,7 +177,7 @@ def _record(opcode: int, content: bytes) -> _Record:
         if len(content) < _MESSAGE_HEAD.size:
             raise _DamagedError("a message is too short")
         channel, sequence, time_ns, _ = _MESSAGE_HEAD.unpack_from(content)
-        if time_ns >= _LATEST_NS:
+        if time_ns >= LATEST_NS:
             raise _DamagedError(f"a message has the time {time_ns} ns")
         return MessageRecord(channel, sequence, time_ns, content[_MESSAGE_HEAD.size :])
     fields = _Fields(content)

@@ -484,6 +484,33 @@ for n in count():
         with pytest.raises(FileExistsError):
             Recorder(path)
 
+    @pytest.mark.parametrize("time_ns", [-1, 1 << 63, 1 << 64, 1.5, None])
+    def test_a_time_that_no_reader_takes(self, time_ns, path):
+        quad = struct.pack("<QhQh", 1, 2, 3, 4)
+        with Recorder(path) as recorder:
+            recorder.add_board("a", FILE)
+            for number, good in enumerate((0, (1 << 63) - 1)):
+                recorder.write("a", sample("quad", quad, number), good)
+                with pytest.raises(j2a.LocalError, match="time_ns is a number of nanoseconds"):
+                    recorder.write("a", sample("quad", quad), time_ns)
+        assert [(number, time) for _, time, number, _ in read(path)] == [(0, 0), (1, (1 << 63) - 1)]
+        recording = Recording(path)
+        recording.read_boards()
+        assert recording.duration_s == ((1 << 63) - 1) / 1e9
+
+    @pytest.mark.parametrize("times", [(0, 0), (5, 1), (0, (1 << 64) - 1)])
+    def test_a_chunk_without_messages_or_times_makes_no_recording_longer(self, times, path):
+        write_hour(path, 20)
+        whole = Recording(path)
+        whole.read_boards()
+        empty = struct.pack("<QQQIIQ", *times, 0, 0, 0, 0)
+        chunk = struct.pack("<BQ", 6, len(empty)) + empty
+        data = path.read_bytes()
+        path.write_bytes(data[:8] + chunk + data[8:])
+        recording = Recording(path)
+        recording.read_boards()
+        assert recording.duration_s == whole.duration_s == pytest.approx(19.9)
+
     @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
     def test_a_full_disk_is_an_error(self, path):
         recorder = Recorder(path)
