@@ -589,9 +589,12 @@ def unpack_properties(content: bytes) -> dict[str, str]:
         raise ProtocolError(
             "the device's properties are not pairs of key and value, each ended by NUL"
         )
-    if twice := [key for key in dict.fromkeys(keys) if keys.count(key) > 1]:
-        raise ProtocolError(f"the device has the property {twice[0]!r} twice")
-    return dict(zip(keys, values, strict=True))
+    found: dict[str, str] = {}
+    for key, value in zip(keys, values, strict=True):
+        if key in found:
+            raise ProtocolError(f"the device has the property {key!r} twice")
+        found[key] = value
+    return found
 
 
 def _check_transfer(data: object) -> bytes:

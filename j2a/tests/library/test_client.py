@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 import traceback
 
 import j2a_transports
@@ -17,7 +18,7 @@ from j2a_spec import oracle
 
 import j2a
 from j2a.demo import DemoDevice
-from j2a.protocol.device_info import unpack_properties
+from j2a.protocol.device_info import MAX_PROPERTIES, unpack_properties
 
 from .support import PATIENCE_S, OldDevice, linked, served
 from .wire import Background
@@ -283,6 +284,13 @@ class TestConnecting:
     def test_a_property_that_comes_twice_is_named(self):
         with pytest.raises(j2a.ProtocolError, match="the property 'name' twice"):
             unpack_properties(b"name\0a\0x\0y\0name\0b\0")
+
+    def test_as_many_properties_as_fit_take_no_time(self):
+        content = b"".join(f"{number:03x}\0\0".encode() for number in range(MAX_PROPERTIES // 5))
+        begin = time.process_time()
+        found = unpack_properties(content)
+        assert time.process_time() - begin < 0.1  # 0.3 s and more when each key was counted
+        assert len(found) == MAX_PROPERTIES // 5
 
     def test_a_window_pipelines_calls(self):
         with linked(window=8) as client:
