@@ -59,6 +59,7 @@ __all__ = [
     "ManyReply",
     "ManyRequest",
     "Result",
+    "let_end",
     "read_chunk",
 ]
 
@@ -308,7 +309,7 @@ class FunctionTable:
         except Fail as failure:
             return Reply(failure.code, b"")
         except BaseException as error:
-            _let_end(error)
+            let_end(error)
             _logger.exception("function %s failed", self.names[opcode])
             return Reply(RET_FAILED, b"")
         return Reply(code if code <= RET_MAX else RET_FAILED, data)
@@ -333,13 +334,13 @@ class FunctionTable:
         except Fail as failure:
             return Reply(RET_OK, _HEADER.pack(failure.code, 0, offset))
         except BaseException as error:
-            _let_end(error)
+            let_end(error)
             _logger.exception("function %s failed", self.names[opcode])
             return Reply(RET_OK, _HEADER.pack(RET_FAILED, 0, offset))
         return Reply(RET_OK, header + reply.data)
 
 
-def _let_end(error: BaseException) -> None:
+def let_end(error: BaseException) -> None:
     """Raise what ends a program, Ctrl-C and sys.exit(), where it can: in its main thread.
 
     In another thread it would end the link to this host only, and the request without an answer.

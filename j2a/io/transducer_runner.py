@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from j2a.errors import LocalError
+from j2a.io.functions import let_end
 from j2a.io.threads import start_thread
 from j2a.protocol.transducers import Action, TransducerServer
 
@@ -240,5 +241,8 @@ def _run(actions: list[Action]) -> None:
     for action in actions:
         try:
             action()
-        except Exception:
+        except BaseException as error:
+            # Also sys.exit(): it would end the thread that sends the samples of all sensors and
+            # sets actuators to their safe values.
+            let_end(error)
             _logger.exception("a function of a transducer failed")

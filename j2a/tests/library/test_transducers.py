@@ -10,6 +10,7 @@ import pickle
 import queue
 import random
 import struct
+import sys
 import tempfile
 import threading
 from decimal import Decimal
@@ -1074,6 +1075,24 @@ class TestActuators:
         servo.watchdog = 0.05
         device.actuator("servo")(lambda channel, value: value == 5 and channel == 1 and moved.set())
         assert moved.wait(PATIENCE_S)
+
+    def test_a_function_that_exits_keeps_no_other_from_its_turn(self, device, board, caplog):
+        moved = queue.SimpleQueue()
+
+        @device.actuator("servo")
+        def turn(channel, value):
+            moved.put((channel, value))
+            sys.exit(1)
+
+        servo, quad = board.transducers["servo"], board.transducers["quad"]
+        servo.set(1, 2)
+        assert [moved.get(timeout=PATIENCE_S) for _ in range(2)] == [(0, 1), (1, 2)]
+        servo.watchdog = 0.05
+        assert [moved.get(timeout=PATIENCE_S) for _ in range(2)] == [(0, 5), (1, 5)]
+        with quad.samples() as samples:  # which the same thread sends
+            device.sense("quad", 0, 20)
+            assert samples.wait(PATIENCE_S).values[0] == 20
+        assert caplog.text.count("a function of a transducer failed") == 4
 
 
 class _Noted(TransducerRunner):
