@@ -11,6 +11,7 @@ the user has asked for that (J2A-CLOCK-024).
 import logging
 import math
 import random
+import threading
 import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -29,6 +30,7 @@ from j2a.errors import (
 )
 from j2a.events import immutable
 from j2a.io.host_time import host_time_of
+from j2a.io.threads import process
 from j2a.protocol.clock import (
     ClockState,
     Discipline,
@@ -104,6 +106,8 @@ class ClockBase:
         self._restarts = 0
         self._timer = 0  # the transducer that tells the time, where the board has no clock
         self._draw = random.SystemRandom()
+        self._process = process.pid
+        self._lock = threading.RLock()
 
     def __repr__(self) -> str:
         estimate = self._discipline.estimator.estimate
@@ -118,6 +122,16 @@ class ClockBase:
         if client is None:
             raise LinkClosed(f"the client of {self._url} is gone")
         return client
+
+    @property
+    def _alone(self) -> threading.RLock:
+        """Held while what is known changes, and while it is read: its parts belong together.
+
+        Nothing waits meanwhile. In a child process whoever held it does not exist.
+        """
+        if self._process != process.pid:
+            self._process, self._lock = process.pid, threading.RLock()
+        return self._lock
 
     # ------------------------------------------------------------------ what is known
 
@@ -212,46 +226,49 @@ class ClockBase:
         return None if estimator.newest is None else math.inf
 
     def _reading(self) -> ClockReading:
-        estimate, status = self._estimate(), self._discipline.status
-        now_us = self._host.observe()
-        reference = self._host.reference
-        newest = self._discipline.estimator.newest
-        assert newest is not None
-        time_us = self._discipline.to_time(estimate.to_counter(now_us))
-        rate = (1 + estimate.rate) * (1 + reference.rate)
-        return ClockReading(
-            self._state,
-            0 if status is None else status.epoch,
-            time_us - reference.to_unix(now_us),
-            (1 / rate - 1) * _PPB,
-            self._uncertainty_us(estimate),
-            newest.came_us - newest.sent_us,
-            self._can_be_set,
-        )
+        with self._alone:
+            estimate, status = self._estimate(), self._discipline.status
+            now_us = self._host.observe()
+            reference = self._host.reference
+            newest = self._discipline.estimator.newest
+            assert newest is not None
+            time_us = self._discipline.to_time(estimate.to_counter(now_us))
+            rate = (1 + estimate.rate) * (1 + reference.rate)
+            return ClockReading(
+                self._state,
+                0 if status is None else status.epoch,
+                time_us - reference.to_unix(now_us),
+                (1 / rate - 1) * _PPB,
+                self._uncertainty_us(estimate),
+                newest.came_us - newest.sent_us,
+                self._can_be_set,
+            )
 
     def _uncertainty_us(self, estimate: Estimate) -> float:
         return estimate.uncertainty_us(estimate.to_counter(self._host.counter_us()))
 
     def _to_host(self, time_us: int, *, is_stamp: bool = False) -> int:
-        estimate, discipline, host = self._estimate(), self._discipline, self._host
-        now_us = estimate.to_counter(host.glance() if is_stamp else host.observe())
-        # A time that is over for certain needs no bound, as that of nearly each sample.
-        is_of_epoch = discipline.is_of_epoch(time_us, now_us, is_stamp=is_stamp)
-        if not is_of_epoch:
-            latest_us = now_us + estimate.uncertainty_us(now_us) + STEP_US
-            is_of_epoch = discipline.is_of_epoch(time_us, latest_us, is_stamp=is_stamp)
-        if not is_of_epoch:
-            raise LocalError(
-                f"{time_us} us was on the clock of {self._url} before it was set, and can no more "
-                "be converted (J2A-CLOCK-027)"
-            )
-        return host.reference.to_unix(estimate.to_host(discipline.to_local(time_us)))
+        with self._alone:
+            estimate, discipline, host = self._estimate(), self._discipline, self._host
+            now_us = estimate.to_counter(host.glance() if is_stamp else host.observe())
+            # A time that is over for certain needs no bound, as that of nearly each sample.
+            is_of_epoch = discipline.is_of_epoch(time_us, now_us, is_stamp=is_stamp)
+            if not is_of_epoch:
+                latest_us = now_us + estimate.uncertainty_us(now_us) + STEP_US
+                is_of_epoch = discipline.is_of_epoch(time_us, latest_us, is_stamp=is_stamp)
+            if not is_of_epoch:
+                raise LocalError(
+                    f"{time_us} us was on the clock of {self._url} before it was set, and can no "
+                    "more be converted (J2A-CLOCK-027)"
+                )
+            return host.reference.to_unix(estimate.to_host(discipline.to_local(time_us)))
 
     def _to_device(self, host_us: int) -> int:
-        estimate = self._estimate()
-        self._host.observe()
-        local_us = estimate.to_counter(self._host.reference.to_counter(host_us))
-        return round(self._discipline.to_time(local_us))
+        with self._alone:
+            estimate = self._estimate()
+            self._host.observe()
+            local_us = estimate.to_counter(self._host.reference.to_counter(host_us))
+            return round(self._discipline.to_time(local_us))
 
     @property
     def _is_fresh(self) -> bool:
@@ -297,12 +314,13 @@ class ClockBase:
 
         Returns: the time, and the bound of its error, in microseconds.
         """
-        now = self._reading()
-        if now.state == "locked" and abs(now.offset_us) <= now.uncertainty_us:
-            return host_us, abs(now.offset_us) + now.uncertainty_us
-        time_us, estimate = self._to_device(host_us), self._estimate()
-        local_us = estimate.to_counter(self._host.reference.to_counter(host_us))
-        return time_us, estimate.uncertainty_us(local_us)
+        with self._alone:
+            now = self._reading()
+            if now.state == "locked" and abs(now.offset_us) <= now.uncertainty_us:
+                return host_us, abs(now.offset_us) + now.uncertainty_us
+            time_us, estimate = self._to_device(host_us), self._estimate()
+            local_us = estimate.to_counter(self._host.reference.to_counter(host_us))
+            return time_us, estimate.uncertainty_us(local_us)
 
     def host_time_of_sample(self, time_us: int) -> int | None:
         """Return the time of this computer at a time stamp, None where it is not known."""
@@ -328,8 +346,9 @@ class ClockBase:
             yield from client._load_functions()
         restarts = client._session.restarts
         if restarts != self._restarts:
-            self._restarts = restarts
-            self._discipline.reset()
+            with self._alone:
+                self._restarts = restarts
+                self._discipline.reset()
         functions = device.names
         if c.CLOCK in functions:
             return
@@ -376,7 +395,8 @@ class ClockBase:
             exchange = Exchange(sent_us, came_us, int.from_bytes(reply, "little"))
         else:
             raise ProtocolError(f"{what}: a time came as {reply!r:.60}")
-        self._discipline.add(exchange)
+        with self._alone:
+            self._discipline.add(exchange)
         self._host.observe()
         return exchange
 
@@ -398,11 +418,14 @@ class ClockBase:
             return
         [(code, reply)] = yield (self._clock_request(adjust.pack()),)
         if code == c.CLOCK_BAD_VALUE:
-            self._discipline.reset()  # J2A-CLOCK-026
+            with self._alone:
+                self._discipline.reset()  # J2A-CLOCK-026
             return
         if code != 0:
             raise remote_error(c.CLOCK, code, reply)
-        self._discipline.take_status(unpack_status(reply), adjust)
+        status = unpack_status(reply)
+        with self._alone:
+            self._discipline.take_status(status, adjust)
 
     def _ask_status(self) -> Transfer[Status]:
         yield from self._prepare(to_set=True)
@@ -410,7 +433,8 @@ class ClockBase:
         if code != 0:
             raise remote_error(c.CLOCK, code, reply)
         status = unpack_status(reply)
-        self._discipline.take_status(status)
+        with self._alone:
+            self._discipline.take_status(status)
         return status
 
     def _clock_request(self, payload: bytes) -> CallRequest:

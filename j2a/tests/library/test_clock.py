@@ -465,6 +465,38 @@ def test_threads_that_ask_for_the_clock_at_once_get_the_same(board, monkeypatch)
     assert {id(one) for one in clocks} == {id(board.clock)}
 
 
+@pytest.mark.parametrize(
+    "off_us",
+    [
+        lambda clock, now_us: clock.read().offset_us,
+        lambda clock, now_us: clock.to_host(now_us) - now_us,
+        lambda clock, now_us: clock.to_device(now_us) - now_us,
+    ],
+    ids=["read", "to_host", "to_device"],
+)
+def test_what_is_known_does_not_change_amid_an_answer(board, monkeypatch, off_us):
+    """Another thread finds that the board has restarted, while this one converts a time."""
+    clock = board.clock
+    clock.sync(8)
+    observe = clock._host.observe
+    others = []
+
+    def interrupted():
+        if not others:
+            board._session.note_restart()
+            others.append(threading.Thread(target=clock.exchange))
+            others[0].start()
+            others[0].join(0.3)
+        return observe()
+
+    monkeypatch.setattr(clock._host, "observe", interrupted)
+    try:
+        assert abs(off_us(clock, time.time_ns() // 1000)) < 1e6
+    finally:
+        others[0].join(PATIENCE_S)
+    assert clock._discipline.status is None  # now it has begun anew
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_child_process_converts_times_and_leaves_the_link_alone(board, device):
