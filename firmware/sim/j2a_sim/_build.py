@@ -105,6 +105,15 @@ def _intact(path: Path) -> bool:
     return data == _sealed(data[: -hashlib.sha256().digest_size])
 
 
+def _compiler() -> list[str]:
+    """The command that starts the C compiler: `$CC`, or cc."""
+    given = os.environ.get("CC", "")
+    try:
+        return shlex.split(given) or ["cc"]
+    except ValueError as error:
+        raise SimError(f"CC={given} is no command: {error}") from None
+
+
 def build() -> Path:
     """Compile the shim unless an up-to-date and undamaged one is cached.
 
@@ -113,9 +122,10 @@ def build() -> Path:
 
     Raises:
         ToolMissing: no compiler, or no simavr development files.
-        SimError: the compiler failed for another reason; its messages are in the text.
+        SimError: the compiler failed for another reason; its messages are in the text. Or CC is
+            no command.
     """
-    compiler = shlex.split(os.environ.get("CC", "")) or ["cc"]
+    compiler = _compiler()
     command = [*compiler, "-std=gnu11", "-O2", "-shared", "-fPIC"]
     flags, version = _pkg_config()
     digest = hashlib.sha256(repr((command, flags, version, platform.machine())).encode())

@@ -149,6 +149,8 @@ def _simulate(args: argparse.Namespace) -> int | None:
         run_clocks(args)
         return None
     if args.sim_kind == "usb":
+        if args.commands and sys.stdin is None:
+            raise UsageError("--commands reads standard input, and that is closed")
         return run_usbip(
             args.elfs,
             args.usbip,

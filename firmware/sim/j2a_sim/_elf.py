@@ -73,6 +73,8 @@ def read_program(path: Path | str) -> Program:
         raise BadProgram(
             f"cannot read {path}: {error.strerror}; build the firmware first"
         ) from None
+    except ValueError as error:  # a null byte, which a URL may have as %00
+        raise BadProgram(f"cannot read {str(path)!r}: {error}") from None
     if data[:4] != b"\x7fELF":
         raise BadProgram(f"{path} is not an ELF file; give the .elf file that avr-gcc linked")
     if data[4:6] != b"\x01\x01" or len(data) < 52 or _u16(data, 18) != _EM_AVR:

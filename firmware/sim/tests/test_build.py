@@ -29,6 +29,8 @@ def test_not_a_program(tmp_path, firmware):
     wrong = tmp_path / "wrong.elf"
     with pytest.raises(BadProgram, match="build the firmware first"):
         read_program(wrong)
+    with pytest.raises(BadProgram, match=r"cannot read .*null byte"):
+        read_program("a\0b")  # sim:a%00b
     for data, text in [
         (b"", "not an ELF file"),
         (b":100000000C9434000C943E00\n", "not an ELF file"),
@@ -119,6 +121,12 @@ def test_without_a_compiler(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", "no-such-compiler -O3")
     monkeypatch.setattr(_build, "_header_stamp", lambda flags: "")
     with pytest.raises(ToolMissing, match=r"'no-such-compiler'.*apt install gcc"):
+        _build.build()
+
+
+def test_a_command_of_the_compiler_that_does_not_end(monkeypatch):
+    monkeypatch.setenv("CC", "gcc '-O2")
+    with pytest.raises(SimError, match="CC=gcc '-O2 is no command: No closing quotation"):
         _build.build()
 
 

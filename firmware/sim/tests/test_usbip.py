@@ -311,3 +311,12 @@ def test_a_bad_address(address, firmware, capsys):
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 2
     assert "is not HOST:PORT" in result.stderr
+
+
+def test_commands_need_standard_input():
+    command = [sys.executable, "-m", "j2a_sim", "usb", "none.elf", "--commands"]
+    result = subprocess.run(
+        ["sh", "-c", 'exec "$@" <&-', "sh", *command], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 2
+    assert result.stderr == "j2a sim: --commands reads standard input, and that is closed\n"

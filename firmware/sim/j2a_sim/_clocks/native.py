@@ -69,13 +69,16 @@ def make(name: str, *arguments: str) -> Path:
 
     Raises:
         ToolMissing: no make.
-        SimError: it does not build; the compiler's messages are in the text.
+        SimError: it does not build; the compiler's messages are in the text. Or the folder has a
+            blank in its path.
     """
     if shutil.which("make") is None:
         raise ToolMissing("no make to build the firmware; on Debian and Ubuntu: apt install make")
     sources = firmware_folder()
     of = hashlib.sha256(os.fsencode(sources)).hexdigest()[:12]
     folder = cache_directory() / f"clocks-{of}" / name
+    if len(str(folder).split()) > 1:
+        raise SimError(f"make cannot build in {folder}, for it has a blank; set XDG_CACHE_HOME")
     command = ["make", "-s", "-C", str(sources), f"OUT={folder}"]
     command += [f"PYTHON={sys.executable}", *arguments]
     kept = {key: value for key, value in os.environ.items() if key != "MAKEFLAGS"}
@@ -95,7 +98,8 @@ def make(name: str, *arguments: str) -> Path:
 def build_board(link: str) -> Path:
     """Build the library of a board."""
     frames = int(link == "usb")
-    port = (f"PORT_DIR={_HERE / 'board'}", f"FRAMES={frames}")
+    # As seen from there: make takes no blanks, and the checkout's own path may have some.
+    port = (f"PORT_DIR={(_HERE / 'board').relative_to(firmware_folder())}", f"FRAMES={frames}")
     folder = make(f"native-{frames}", *port, "APP=builtins", "OPTIONS=-DJ2A_WITH_SYNC=1")
     return folder / "builtins.so"
 

@@ -66,3 +66,21 @@ def test_a_cache_that_cannot_be_written_to_is_told(fake_make, monkeypatch, tmp_p
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     with pytest.raises(SimError, match=r"cannot write to .*; set XDG_CACHE_HOME"):
         native.make("board")
+
+
+def test_a_cache_with_a_blank_in_its_path_is_told(fake_make, monkeypatch, tmp_path):
+    """Make would take it for two."""
+    fake_make("#!/bin/sh\n")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "a cache"))
+    with pytest.raises(SimError, match=r"a cache/.* has a blank; set XDG_CACHE_HOME"):
+        native.make("board")
+
+
+def test_the_path_of_the_checkout_is_not_given_to_make(fake_make, tmp_path):
+    """It may have a blank."""
+    said = tmp_path / "said"
+    fake_make(
+        f'#!/bin/sh\nfor word; do case $word in PORT_DIR=*) echo "$word";; esac; done >{said}\n'
+    )
+    native.build_board("usb")
+    assert said.read_text() == "PORT_DIR=sim/j2a_sim/_clocks/board\n"
