@@ -7,6 +7,8 @@ import itertools
 import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -235,6 +237,11 @@ def test_other_options_rebuild_and_the_same_do_not(make, tmp_path):
         ("BAUD", "9600 8"),
         ("LINKS", "01"),
         ("ROOM", "123456789"),
+        ("OUT", "a folder"),
+        ("APP_DIR", "an app"),
+        ("PORT_DIR", "a port"),
+        ("FREQ", ""),
+        ("MCU", ""),
     ],
 )
 def test_wrong_variables_are_refused_in_one_line(make, tmp_path, name, value):
@@ -285,6 +292,23 @@ def test_mutant_of_a_port_and_an_app_in_other_folders(make, tmp_path):
     )
     assert result.returncode == 0, result.stderr
     assert (out / "other").exists()
+
+
+def test_a_mutant_is_built_where_the_path_of_the_project_has_a_blank(need, tmp_path):
+    need("make")
+    root = tmp_path / "a project"
+    ignored = shutil.ignore_patterns("build", "node_modules", "__pycache__", "corpus", "tests")
+    for name in ("firmware", "conformance/mutants", "spec"):
+        shutil.copytree(FIRMWARE.parent / name, root / name, ignore=ignored)
+    command = ["make", "-s", "-C", root / "firmware", f"PYTHON={sys.executable}", "APP=builtins"]
+    result = subprocess.run(
+        [*command, "MUTANT=core-stuff-004", "CFLAGS=-O0"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert (root / "firmware/build/mutants/core-stuff-004/posix/builtins").is_file()
 
 
 def test_mutants_of_python_are_refused(make, tmp_path):
