@@ -200,3 +200,28 @@ def test_defect_is_found(fuzz, tmp_path, defect):
     named = ("link.c:", "turns.c:", "Sanitizer")
     assert any(name in result.stderr for name in named)
     assert "Test unit written to" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--seconds", "-1"), "-1 is below 0"),
+        (("--core", "nowhere"), "--core nowhere: no j2a_internal.h there"),
+        (("--inputs", "nowhere"), "--inputs nowhere: there is no such folder"),
+        (("--objects", "nowhere"), "--objects nowhere: there is no such folder"),
+    ],
+)
+def test_wrong_arguments_are_no_finding(fuzz, arguments, message):
+    """For libFuzzer a negative time is no limit, and 1 is the exit code of a finding."""
+    result = fuzz("--runs", "0", *arguments)
+    assert result.returncode == 2, result.stderr[-2000:]
+    assert message in result.stderr
+
+
+def test_what_does_not_compile_is_no_finding(fuzz, tmp_path):
+    core = tmp_path / "core"
+    shutil.copytree(FIRMWARE / "core", core)
+    (core / "j2a_builtins.c").write_text("#error no\n")
+    result = fuzz("--core", core)
+    assert result.returncode == 2, result.stderr[-2000:]
+    assert "Traceback" not in result.stderr

@@ -127,3 +127,14 @@ def test_golden_vectors_on_another_machine(kind, make, need, missing, tmp_path, 
     assert targets.measured(program).kind == kind
     assert main(["selftest", f"exec:{emulator} -L {library} {program}"]) == 0
     assert "golden vectors, all" in capsys.readouterr().out
+
+
+def test_a_folder_without_the_core_is_refused(tmp_path):
+    result = subprocess.run(
+        [sys.executable, "-m", "firmware.verify.targets.compile", "--core", tmp_path, "8051"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert "no j2a_internal.h there" in result.stderr

@@ -3,8 +3,9 @@
 What flows in: link.c and receiver.c, or what is in transducers/, the core (--core), the inputs in
 corpus/, and for the link seeds made of the golden vectors. What flows out: what libFuzzer reports,
 exit status 0 when nothing was found, 1 when something was (the input is then named), 2 when clang
-is missing. With --keep, corpus/ afterwards holds the fewest inputs that reach everything that was
-ever reached; that of transducers, which several devices share, keeps what it has, and gets more.
+or a folder is missing, or what shall be fuzzed does not compile. With --keep, corpus/ afterwards
+holds the fewest inputs that reach everything that was ever reached; that of transducers, which
+several devices share, keeps what it has, and gets more.
 Rules: the same seed and corpus give the same first runs; corpus/ is written with --keep only, and
 beside it the input that breaks the core, into the folder of --inputs.
 """
@@ -94,11 +95,21 @@ def seed(folder: Path) -> None:
             )
 
 
+def _seconds(text: str) -> int:
+    """A number of seconds from 0 on: libFuzzer takes a negative one for no limit."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is below 0")
+    return value
+
+
 def main() -> int:
     """Fuzz; see the module."""
     parser = argparse.ArgumentParser(description="Run the C core under libFuzzer.")
     parser.add_argument("--core", type=Path, default=CORE, help="the core's folder")
-    parser.add_argument("--seconds", type=int, default=60, help="how long; 0: replay the corpus")
+    parser.add_argument(
+        "--seconds", type=_seconds, default=60, help="how long; 0: replay the corpus"
+    )
     parser.add_argument("--runs", type=int, default=-1, help="how many, those of the corpus too")
     parser.add_argument("--seed", type=int, default=1, help="seed of the fuzzer (default: 1)")
     parser.add_argument("--inputs", default=".", help="folder for the inputs that break the core")
@@ -118,9 +129,25 @@ def main() -> int:
         parser.error("--keep with --small: the corpus is kept for the whole device; leave one out")
     if arguments.transducers and arguments.small:
         parser.error("--small with --transducers: the model has room for 255 bytes; leave one out")
+    if not (arguments.core / "j2a_internal.h").is_file():
+        parser.error(f"--core {arguments.core}: no j2a_internal.h there; give the core's folder")
+    for option, where in (("inputs", arguments.inputs), ("objects", arguments.objects)):
+        if where is not None and not Path(where).is_dir():
+            parser.error(f"--{option} {where}: there is no such folder")
     if shutil.which("clang") is None:
         print(advice("clang"), file=sys.stderr)
         return 2
+    try:
+        return _fuzz(arguments)
+    except subprocess.CalledProcessError as error:
+        print(f"{Path(error.cmd[0]).name} failed; what it said is above", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _fuzz(arguments: argparse.Namespace) -> int:
+    """Build what was chosen, and run it; see the module for what is returned."""
     with tempfile.TemporaryDirectory(prefix="j2a-fuzz-") as name:
         folder = Path(name)
         core = arguments.core.resolve()

@@ -196,6 +196,8 @@ def main() -> int:
     parser.add_argument("--core", type=Path, default=FIRMWARE / "core", help="the core's folder")
     args = parser.parse_args()
     targets = load()
+    if not (args.core / "j2a_internal.h").is_file():
+        parser.error(f"--core {args.core}: no j2a_internal.h there; give the core's folder")
     if unknown := set(args.names) - set(targets):
         parser.error(f"no target {', '.join(sorted(unknown))}; there are {', '.join(targets)}")
     refused = 0
