@@ -7,12 +7,14 @@ and each must be noticed.
 """
 
 import contextlib
+import fcntl
 import io
 import json
 import os
 import re
 import subprocess
 import sys
+import threading
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -207,6 +209,39 @@ def test_each_source_counts(tmp_path):
     assert digest(build) == before
     (firmware / "core/ext/j2a_more.c").touch()
     assert digest(build) != before
+
+
+def test_what_emulates_and_what_reads_the_program_counts():
+    """A change of either may change a figure."""
+    of = {build.name: measured.files(build, FIRMWARE) for build in builds.load()}
+    emulator = FIRMWARE / "verify/emulators/rp2040"
+    assert {*emulator.glob("*.mjs")} <= {*of["rp2040/counts"]}
+    assert emulator / "package-lock.json" in of["rp2040/counts"]
+    bounds = [build.name for build in builds.load() if "bound" in build.measure]
+    assert bounds
+    assert all(FIRMWARE / "sim/j2a_sim/_elf.py" in of[name] for name in bounds)
+
+
+@pytest.mark.parametrize("option", ["--out", "--save", "--budget", "--snapshot", "--figures"])
+def test_files_that_cannot_be_used_are_named(option, tmp_path):
+    damaged = tmp_path / "damaged"
+    damaged.write_bytes(b"\xff")
+    wrong = damaged if option in {"--budget", "--snapshot", "--figures"} else damaged / "folder"
+    kept = ("--figures", snapshot.SNAPSHOT) if option in {"--save", "--snapshot"} else ()
+    result = measure("--only", FULL, "--check", *kept, option, wrong)
+    assert result.returncode == 2, result.stdout + result.stderr
+    assert damaged.name in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_run_that_waits_for_another_one_says_so(tmp_path, capsys):
+    with (tmp_path / "lock").open("w") as first, (tmp_path / "lock").open("w") as second:
+        fcntl.flock(first, fcntl.LOCK_EX)
+        timer = threading.Timer(0.2, lambda: fcntl.flock(first, fcntl.LOCK_UN))
+        timer.start()
+        command._lock(second, tmp_path)
+        timer.join()
+    assert f"waiting for another run that builds in {tmp_path}" in capsys.readouterr().err
 
 
 def test_only_what_has_changed_is_measured(tools, tmp_path, monkeypatch):

@@ -168,7 +168,7 @@ def load(path: Path = BUDGET) -> list[Build]:
     """
     try:
         table = tomllib.loads(path.read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise BudgetError(f"{path.name}: {error}") from None
     entries = table.get("build", [])
     if path == BUDGET:

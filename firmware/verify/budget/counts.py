@@ -85,9 +85,16 @@ def _by_callgrind(program: Path, build: Build) -> dict[str, int]:
         out = Path(folder) / "out"
         command = [_tool(build, "valgrind"), "--tool=callgrind", f"--callgrind-out-file={out}"]
         command += ["--compress-strings=no", "--compress-pos=no", str(program)]
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_LIMIT_S, check=False
-        )
+        try:
+            done = subprocess.run(
+                command,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=_LIMIT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise BudgetError(f"{build.name}: no end within {_LIMIT_S} s in callgrind") from None
         if done.returncode or not done.stdout.endswith(_DONE):
             raise BudgetError(f"{build.name}: {done.stderr.decode(errors='replace').strip()}")
         text = out.read_text()

@@ -21,6 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import TextIO
 
 try:
     from firmware.verify.budget import builds, measured, report, runs, snapshot
@@ -45,6 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise BudgetError("--write measures: leave --changed and --figures out")
         if args.write and len(chosen) != len(every):
             raise BudgetError("--write needs all builds: leave --only out")
+        if args.save:
+            _check_file(args.save)  # to measure takes minutes
         if args.figures:
             kept = snapshot.read(args.figures)
             results = {build.name: kept[build.name] for build in chosen if build.name in kept}
@@ -69,6 +72,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BudgetError as error:
         print(f"measure.py: {error}", file=sys.stderr)
         return 2
+
+
+def _check_file(path: Path) -> None:
+    """Raise BudgetError where a file cannot be written; what is there stays."""
+    was_there = path.exists()
+    try:
+        path.open("a").close()
+        if not was_there:
+            path.unlink()
+    except OSError as error:
+        raise BudgetError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -147,9 +161,13 @@ def _measure(
 
     results: dict[str, snapshot.Result] = {}
     problems = []
-    out.mkdir(parents=True, exist_ok=True)
-    with (out / "lock").open("w") as lock, ThreadPoolExecutor(_JOBS) as pool:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # two runs must not build in the same folder at once
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock_file = (out / "lock").open("w")
+    except OSError as error:
+        raise BudgetError(f"cannot write to {out}: {error.strerror}; give another --out") from None
+    with lock_file as lock, ThreadPoolExecutor(_JOBS) as pool:
+        _lock(lock, out)
         for build, result in zip(chosen, pool.map(one, chosen), strict=True):
             if isinstance(result, snapshot.Result):
                 results[build.name] = result
@@ -160,6 +178,15 @@ def _measure(
     if problems:
         raise BudgetError("\n".join(problems))
     return results
+
+
+def _lock(file: TextIO, out: Path) -> None:
+    """Wait until no other run builds in the same folder, and say so."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        print(f"waiting for another run that builds in {out}", file=sys.stderr, flush=True)
+        fcntl.flock(file, fcntl.LOCK_EX)
 
 
 def _revision(revision: str, chosen: Sequence[Build]) -> dict[str, snapshot.Result]:

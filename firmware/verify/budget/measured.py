@@ -20,7 +20,8 @@ MEASURED = Path(__file__).with_name("measured.json")
 _SOURCES = {".S", ".awk", ".c", ".def", ".h", ".ld", ".mjs", ".mk", ".py"}
 _REPORTING = {"measure.py", "measured.py", "report.py", "snapshot.py"}  # they decide no figure
 _IN_SIMULATOR = {"stack", "cycles"}
-_EMULATOR = "verify/emulators/rp2040/package-lock.json"
+_EMULATOR = "verify/emulators/rp2040"
+_READER = "sim/j2a_sim/_elf.py"  # of programs, whose machine code tells the bound of the stack
 
 
 def files(build: Build, firmware: Path) -> list[Path]:
@@ -32,13 +33,18 @@ def files(build: Build, firmware: Path) -> list[Path]:
     folders.append("verify/budget")
     if _IN_SIMULATOR & {*build.measure}:
         folders += ["sim/j2a_sim", "sim/j2a_sim/chip"]
+    is_emulated = build.emulator[:1] == ("node",)
+    if is_emulated:
+        folders.append(_EMULATOR)
     found = {firmware / "Makefile", firmware / "apps/main.c"}
     for folder in folders:
         # What is below is no source of an app, nor of the simulator without USB, but of the core.
-        glob = "*" if folder in {app, "verify/budget", "sim/j2a_sim"} else "**/*"
+        glob = "*" if folder in {app, "verify/budget", "sim/j2a_sim", _EMULATOR} else "**/*"
         found |= {path for path in (firmware / folder).glob(glob) if path.suffix in _SOURCES}
-    if build.emulator[:1] == ("node",):
-        found.add(firmware / _EMULATOR)
+    if is_emulated:
+        found.add(firmware / _EMULATOR / "package-lock.json")
+    if "bound" in build.measure:
+        found.add(firmware / _READER)
     return sorted(path for path in found if path.name not in _REPORTING)
 
 

@@ -67,7 +67,7 @@ def write(results: Mapping[str, Result], path: Path = SNAPSHOT) -> None:
     path.write_text(json.dumps(table, indent=1) + "\n")
 
 
-def _parse(text: str, where: str) -> dict[str, Result]:
+def _parse(text: str | bytes, where: str) -> dict[str, Result]:
     try:
         table: dict[str, dict[str, float | str]] = json.loads(text)
         return {
@@ -84,10 +84,10 @@ def _parse(text: str, where: str) -> dict[str, Result]:
 def read(path: Path = SNAPSHOT) -> dict[str, Result]:
     """Read the committed figures."""
     try:
-        text = path.read_text()
+        data = path.read_bytes()
     except OSError as error:
         raise BudgetError(f"{path.name}: {error.strerror}; make it: measure.py --write") from None
-    return _parse(text, path.name)
+    return _parse(data, path.name)
 
 
 def read_of(revision: str) -> dict[str, Result]:
