@@ -20,6 +20,9 @@ from j2a_conformance.device._peer import Peer
 
 from .clock_waits import Waits, transducers_of
 
+_SOON_US: Final = (50_000, 200_000, S, 5 * S, 20 * S)
+_SLOW: Final = 10
+
 
 class Announced(Case):
     """Compares what the device announces with what it has."""
@@ -128,15 +131,19 @@ class Refusals(ClockCase):
         if board.has_frames:
             lengths[c.CLOCK_FRAME] = len(frame_request(0, 0))
         longest = board.peer.longest
+        rng = random.Random(3)
         board.refuse(b"", c.CLOCK_BAD_LENGTH)
         for item, right in lengths.items():
             for length in range(1, longest + 1):
                 if length != right:
                     board.refuse(bytes((item,)) + bytes(length - 1), c.CLOCK_BAD_LENGTH)
+                    if item != c.CLOCK_STATUS or length % 8 == 0:
+                        board.refuse(bytes((item,)) + rng.randbytes(length - 1), c.CLOCK_BAD_LENGTH)
         for item in range(256):
             if item not in lengths:
                 for length in (1, 5, 15, 30, 1 + item % longest):
-                    board.refuse(bytes((item,)) + bytes(length - 1), c.CLOCK_NO_ITEM)
+                    data = bytes(length - 1) if item % 2 else rng.randbytes(length - 1)
+                    board.refuse(bytes((item,)) + data, c.CLOCK_NO_ITEM)
         board.status()
 
 
@@ -224,6 +231,7 @@ class Values(ClockCase):
         for mode in (c.CLOCK_SLEW, c.CLOCK_STEP):
             board.step()
             self.refuse(board, mode)
+            self._soon(board, mode)
             # While it is led to a target, and the uncertainty grows.
             board.adjust(60_000, **self._LED)
             self.refuse(board, mode)
@@ -243,13 +251,38 @@ class Values(ClockCase):
 
     @classmethod
     def refuse(cls, board: Board, mode: int) -> None:
-        """Send what is out of range, one field at a time."""
+        """Send what is out of range, one field at a time, the others 0 and any."""
+        rng = random.Random(mode)
         for wrong in cls._WRONG:
-            status = board.status()
-            fields = {"mode": mode, "local": status.local, "time": 7, "rate": 0, **wrong}
-            fields["local"] += fields.pop("ahead", 0)
-            rest = {"uncertainty": 0, "wander": 0, **fields}
-            board.refuse(bytes(CLOCK_ADJUST.build(rest)), c.CLOCK_BAD_VALUE)
+            most = c.CLOCK_MAX_RATE
+            others = {
+                "time": rng.randrange(2**63),
+                "rate": rng.randint(-most, most),
+                "uncertainty": rng.randrange(2**32),
+                "wander": rng.randint(0, most),
+            }
+            for rest in ({"time": 7, "rate": 0, "uncertainty": 0, "wander": 0}, others):
+                status = board.status()
+                fields = {"mode": mode, "local": status.local, **rest, **wrong}
+                fields["local"] += fields.pop("ahead", 0)
+                board.refuse(bytes(CLOCK_ADJUST.build(fields)), c.CLOCK_BAD_VALUE)
+                board.status()
+
+    @staticmethod
+    def _soon(board: Board, mode: int) -> None:
+        """Send local times that come soon: a stall of this machine lets them come before."""
+        peer = board.peer
+        for ahead in _SOON_US:
+            first = board.status().local
+            now = board.status().local
+            if _SLOW * (now - first) > ahead:
+                continue
+            fields = {"mode": mode, "local": now + ahead, "time": 7, "rate": 0}
+            payload = bytes(CLOCK_ADJUST.build({**fields, "uncertainty": 0, "wander": 0}))
+            reply = peer.ask(peer.request(peer.opcode(c.CLOCK), payload))
+            if (reply.opcode, reply.payload) != (c.CLOCK_BAD_VALUE, b""):
+                text = f"a local time that is {ahead} us ahead has the code {reply.opcode}"
+                fail(text, suspect=True)
             board.status()
 
 

@@ -165,6 +165,8 @@ class Far(ClockCase):
             {"uncertainty": c.CLOCK_UNKNOWN},
             {"rate": -70_000, "wander": 900},
             {"rate": 70_000},
+            {"rate": c.CLOCK_MAX_RATE},
+            {"rate": -c.CLOCK_MAX_RATE},
         ):
             for off in (20, -20, 2000, -2000, 5000, -5000, 3 * S, -3 * S):
                 board.adjust(0, **fields)

@@ -107,6 +107,7 @@ class Chunks(Case):
         whole = peer.read_all(c.GET_INTERFACE)
         lines = [at + 1 for at, byte in enumerate(whole[:-1]) if byte == ord("\n")]
         around = {at + n for at in (*lines, 249, 256, 498, 512) for n in (-1, 0, 1)}
+        around |= {*range(0, len(whole), 249), *range(0, len(whole), 256)}
         spread = {*range(_EACH_UP_TO), *range(0, len(whole), _STEP)}
         # So that a last chunk has each length, and a full one has one byte less than all.
         spread |= {*range(len(whole) - c.MANY_DATA - 1, len(whole))}

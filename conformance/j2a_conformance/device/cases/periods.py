@@ -17,7 +17,15 @@ from j2a_spec import transducers as oracle
 
 from j2a_conformance._judge import fail
 
-from .transducers import STIMULUS, Board, _TransducerCase, queued, spread
+from .transducers import (
+    STIMULUS,
+    Board,
+    _TransducerCase,
+    is_readable,
+    is_writable,
+    queued,
+    spread,
+)
 
 _SHORT_US: Final = 25_000
 _SHORTER_US: Final = (1000, 2000, 5000, 10_000, 16_000, 20_000)
@@ -31,6 +39,7 @@ _SLOW: Final = 12
 late by 0.8 of one needs that time twice before the next one.
 """
 _NEVER_US: Final = 0xFFFFFFFF
+_AHEAD_US: Final = 1 << 62
 _LATE: Final = ((2, 4), (6, 2), (8, 1))  # tenths of a period, and how many SIFs in a row
 _LATE_ONCE: Final = (5, 1)
 _RATE: Final = 0.95  # the clock may run slower than the local time
@@ -215,7 +224,9 @@ class SilentPeriod(_Due):
 
 
 class WrittenPeriod(_Due):
-    """Writes PERIOD and ENABLED in the middle of a period: longer, shorter and the same values."""
+    """Writes PERIOD and ENABLED in the middle of a period: longer, shorter and the same values; or
+    reads all items then, and writes them as they are.
+    """
 
     ID = "transducers.period-written"
     EXPECTATION = "A value is sent when PERIOD, as written last, is over since the SIF before."
@@ -229,8 +240,11 @@ class WrittenPeriod(_Due):
             partial(self._between, item=c.TRANSD_PERIOD),
             partial(self._between, item=c.TRANSD_ENABLED),
             partial(self._between, item=None),
+            self._touched,
         ):
             self._in_time(board, one, period_us, partial(change, board, one))
+        if board.has(one, c.TRANSD_TRIGGER):
+            board.write(one, c.TRANSD_TRIGGER, bytes(8))  # so that nothing waits
 
     def _waiting(
         self, board: Board, one: oracle.Transducer, us: int, *, first: int, then: int
@@ -259,6 +273,32 @@ class WrittenPeriod(_Due):
             self._give(board, one, -1)
 
         return self._in_middle(board, one, us, begun, since, change=change)
+
+    def _touched(self, board: Board, one: oracle.Transducer, us: int) -> bool:
+        """Touch all items, and then give a value; where that takes long the period is longer."""
+        begin_us = board.time_us()
+        self._touch(board, one)
+        us = max(us, 4 * (board.time_us() - begin_us))
+        begun = self._refer(board, one)
+        self._period(board, one, us)
+        since = board.seen
+
+        def change() -> None:
+            self._touch(board, one)
+            self._give(board, one, -1)
+
+        return self._in_middle(board, one, us, begun, since, change=change)
+
+    @staticmethod
+    def _touch(board: Board, one: oracle.Transducer) -> None:
+        """Read each item, and write it as it is; have TRIGGER wait."""
+        for item in range(c.TRANSD_TIME + 1):
+            if is_readable(board, one, item):
+                value = board.read(one, item)
+                if is_writable(board, one, item):
+                    board.write(one, item, value)
+        if board.has(one, c.TRANSD_TRIGGER):
+            board.write(one, c.TRANSD_TRIGGER, struct.pack("<Q", _AHEAD_US))
 
     def _in_middle(
         self,

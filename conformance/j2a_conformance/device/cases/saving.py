@@ -97,7 +97,8 @@ class Saving(_TransducerCase):
         self._state(self._ask(board, one), one, c.TRANSD_SAVED)
 
     def _itself(self, board: Board, one: oracle.Transducer) -> int:
-        """Save a transducer that is being saved, and with what is wrong; return its state then.
+        """Save a transducer that is being saved, also with what is wrong, and write its settings;
+        return its state then.
 
         It may be ready before any of these requests, and a device that then saves anew is SAVING
         again; but if a request finds it so, not each of those before came just when it was ready.
@@ -107,7 +108,15 @@ class Saving(_TransducerCase):
         payloads = (item, *[item + b"\1"] * _AGAIN, item)
         wrong = ((item + b"\0", c.TRANSD_BAD_VALUE), (item + b"\1\1", c.TRANSD_BAD_LENGTH))
         opcode = peer.opcode(c.TRANSD)
-        first, *again, last = peer.ask_all(peer.request(opcode, payload) for payload in payloads)
+        requests = [peer.request(opcode, payload) for payload in payloads]
+        writes = [
+            peer.request(opcode, bytes((one.id, setting)) + value, c.RET_OK, value)
+            for setting in _SETTINGS
+            if board.has(one, setting)
+            for value in (board.read(one, setting),)
+        ]
+        replies = peer.ask_all((requests[0], *writes, *requests[1:]))
+        first, *again, last = (replies[0], *replies[1 + len(writes) :])
         board.refuse_all(wrong)
         busy = [reply for reply in again if reply.opcode == c.TRANSD_BUSY]
         for reply in again:

@@ -48,6 +48,7 @@ _WRAP: Final = 65536
 _MANY: Final = 600  # a number of one byte has wrapped
 _WRAP_US: Final = 20_000_000
 _ITEMS: Final = 12  # above the numbers of all items, and of some that there are not
+_DECIMATIONS: Final = (6, 7, 8, 9, 15, 16, 17, 31, 32, 33, 50, 63, 64, 65, 100, 127, 128, 129, 200)
 _SHORT: Final = 40  # longer than a topic, and than a value of any type
 _TURNS: Final = 90  # of three values: more than counters of one byte hold
 _STEP: Final = 7
@@ -436,6 +437,7 @@ class Chunks(_TransducerCase):
         whole = board.peer.read_all(c.GET_TRANSDS)
         lines = [at + 1 for at, byte in enumerate(whole[:-1]) if byte == ord("\n")]
         around = {at + n for at in (*lines, 249, 256, 498, 512) for n in (-1, 0, 1)}
+        around |= {*range(0, len(whole), 249), *range(0, len(whole), 256)}
         # So that a last chunk has each length.
         chosen = {*range(64), *range(0, len(whole), _STEP), *range(len(whole) - 250, len(whole))}
         offsets = sorted(at for at in chosen | around if 0 <= at < len(whole))
@@ -655,6 +657,7 @@ _RIGHT_TOPICS: Final = (
     "\uffff".encode(), "\U00010000\U0010ffff".encode(), ("\u00e4" * 16).encode(),
     ("\U0001f916" * 8).encode(), b" a", b"a ", b" ", b" " * 32, b"x", *_joined(_characters()),
     *(b"t" * length for length in range(32, 0, -1)),  # each one behind a longer one
+    *(b"u" * at + b"t" * (32 - at) for at in range(33)),  # each differs from another in one byte
 )  # fmt: skip
 
 
@@ -1214,11 +1217,27 @@ class Decimation(_Taken):
                         is_due = (number + 1) % every == 0
                         self._give(board, one, channel, board.value(one), is_due)
         self._disabled(board, one)
-        board.write(one, c.TRANSD_DECIMATION, b"\xff")
-        for number in range(255):
-            board.stimulate(one, (0, board.value(one))) if number < 253 else self._give(
-                board, one, 0, board.value(one), number == 254
-            )
+        having = board.sensors("decimation")
+        for number, every in enumerate((*_DECIMATIONS, 255)):
+            if every == 255 or having[number % len(having)] is one:
+                for channel in {0, channels[-1] if every == 255 else number % one.channels}:
+                    self._many(board, one, channel, every)
+
+    def _many(self, board: Board, one: oracle.Transducer, channel: int, every: int) -> None:
+        """Give all values of which none is to be taken in few requests, and then two more."""
+        board.write(one, c.TRANSD_DECIMATION, bytes((every,)))
+        fit = (board.peer.longest - 1) // (1 + board.size(one))
+        has_queue = "queue" in one.attributes
+        since = board.seen
+        before = b"" if has_queue else board.read(one, c.TRANSD_SAMPLE)
+        for given in range(0, every - 2, fit):
+            count = min(fit, every - 2 - given)
+            board.stimulate(one, *((channel, board.value(one)) for _ in range(count)))
+        if not has_queue and board.read(one, c.TRANSD_SAMPLE) != before:
+            fail(f"{one.name} has taken one of {every - 2} values, where one in {every} is due")
+        board.no_sif_yet(one, since, f"for {every - 2} values, where one in {every} is due")
+        for is_due in (False, True):
+            self._give(board, one, channel, board.value(one), is_due)
 
     def _disabled(self, board: Board, one: oracle.Transducer) -> None:
         """Count on over times without ENABLED, and with values in them where there is no queue."""
@@ -1262,8 +1281,8 @@ class Threshold(_Taken):
                 self._of_one_byte(board, one, channel)
                 self._limit_of_one_byte(board, one, channel)
                 self._near_na(board, one, channel)
-                if "decimation" in one.attributes:
-                    self._decimated(board, one)
+                for channel in spread(one) if "decimation" in one.attributes else ():
+                    self._decimated(board, one, channel)
 
     def _sensor(self, board: Board, one: oracle.Transducer, channel: int) -> None:
         is_float = board.scalar(one) in _FORMATS
@@ -1428,16 +1447,16 @@ class Threshold(_Taken):
                 board.write(one, c.TRANSD_THRESHOLD, limit)
                 self._give(board, one, channel, board.packed(one, number), is_due)
 
-    def _decimated(self, board: Board, one: oracle.Transducer) -> None:
+    def _decimated(self, board: Board, one: oracle.Transducer, channel: int) -> None:
         """Leave the values that decimation leaves to the threshold."""
         board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
         board.write(one, c.TRANSD_DECIMATION, b"\1")
-        self._give(board, one, 0, board.packed(one, 10), due=True)
+        self._give(board, one, channel, board.packed(one, 10), due=True)
         board.write(one, c.TRANSD_THRESHOLD, board.packed(one, 5))
         board.write(one, c.TRANSD_DECIMATION, b"\2")
         numbers = ((12, False), (30, True), (31, False), (32, False), (50, False), (60, True))
         for number, is_due in numbers:
-            self._give(board, one, 0, board.packed(one, number), is_due)
+            self._give(board, one, channel, board.packed(one, number), is_due)
 
 
 def _na(board: Board, one: oracle.Transducer) -> bytes | None:
@@ -1572,8 +1591,9 @@ class Set(_TransducerCase):
     def _far(board: Board, one: oracle.Transducer, channel: int) -> None:
         """Set a channel for times that are years ahead, each in place of one that is near."""
         before = board.read(one, c.TRANSD_SAMPLE)
-        due_us = board.time_us() + _DUE_US
-        for far_us in _FAR_US:
+        now_us = board.time_us()
+        due_us = now_us + _DUE_US
+        for far_us in (*_FAR_US, *(now_us + (1 << bit) for bit in _FAR_BITS)):
             for at_us in (due_us, far_us):
                 value = settable(board, one)
                 board.write(one, c.TRANSD_SET, bytes((channel,)) + _US.pack(at_us) + value)
@@ -1750,7 +1770,8 @@ class Watchdog(_TransducerCase):
 
 class Trigger(_TransducerCase):
     """Triggers sensors at once, at a time ahead, and anew before that, and several at one time;
-    reads and writes other items meanwhile, and triggers sensors that are disabled.
+    reads and writes other items meanwhile, and triggers sensors that are disabled, and those
+    whose sample waits for the end of PERIOD.
     """
 
     ID = "transducers.trigger"
@@ -1767,7 +1788,8 @@ class Trigger(_TransducerCase):
                 for later_us in (None, _DUE_US // 2, 2 * _DUE_US, 0, -1):
                     self._replaced(board, one, later_us)
                 if "queue" not in one.attributes:
-                    self._disabled(board, one)
+                    self._unsent(board, one, c.TRANSD_ENABLED, b"\0")
+                    self._unsent(board, one, c.TRANSD_PERIOD, b"\xff" * 4)
         for pair in permutations(board.sensors("trigger"), 2):
             with board.tuned(pair[0]), board.tuned(pair[1]):
                 since, due_us = board.seen, board.time_us() + _DUE_US
@@ -1815,10 +1837,13 @@ class Trigger(_TransducerCase):
                     board.write(one, item, value)
 
     @staticmethod
-    def _disabled(board: Board, one: oracle.Transducer) -> None:
-        """Trigger a sensor that sends no sample SIFs: SAMPLE must show what it measures."""
-        board.write(one, c.TRANSD_ENABLED, b"\0")
-        for later_us in (0, _DUE_US):
+    def _unsent(board: Board, one: oracle.Transducer, item: int, value: bytes) -> None:
+        """Trigger a sensor that sends no sample SIFs, because it is disabled or the last one was
+        just sent: SAMPLE must show what it measures, also where a sample waits already.
+        """
+        before = board.read(one, item)
+        board.write(one, item, value)
+        for later_us in (0, 0, _DUE_US):
             due_us = board.time_us() + later_us
             board.write(one, c.TRANSD_TRIGGER, _US.pack(due_us))
             for _ in board.until(due_us + _SLACK_US):
@@ -1827,10 +1852,13 @@ class Trigger(_TransducerCase):
                 if (time_us := max(time_us for time_us, _ in sample)) >= due_us:
                     break
             else:
-                fail(f"{one.name}, which was disabled, did not measure when it was triggered")
+                fail(f"{one.name}, which sends nothing, did not measure when it was triggered")
             if time_us > due_us + _SLACK_US:
                 fail(f"{one.name} has measured at {time_us} us, due was {due_us} us")
-        board.write(one, c.TRANSD_ENABLED, b"\1")
+        since = board.seen
+        board.write(one, item, before)
+        if item == c.TRANSD_PERIOD:
+            board.sif(one, since)
 
     @staticmethod
     def _measured(board: Board, one: oracle.Transducer, since: int, due_us: int) -> int:
