@@ -54,6 +54,7 @@ _COUNT: Final = re.compile(r"[1-9][0-9]{0,4}(?![0-9])")
 _NUMBER: Final = re.compile(r"-?[0-9]{1,20}(?![0-9])")
 DOC: Final = re.compile(r"[^\x00-\x1f\x7f]+")
 REST: Final = re.compile(r"[^\x00-\x1f\x7f]*")
+_OPCODE: Final = re.compile(r"[0-9]{1,3}(?![0-9])")
 _FLAG_VALUE: Final = re.compile(r"\(([ -(*-~]*)\)")
 _MAX_COUNT: Final = 65535
 _MAX_SLOW_MS: Final = 65535
@@ -356,7 +357,7 @@ def _check_inside(scanner: Scanner, field: Field, at: int) -> None:
 
 def _sif(scanner: Scanner, name: str, types: Types, others: list[SifShape]) -> SifShape:
     at = scanner.at
-    opcode = scanner.number(_NUMBER, range(_MAX_OPCODE + 1), "an opcode")
+    opcode = scanner.number(_OPCODE, range(_MAX_OPCODE + 1), "an opcode")
     if any(name == other.name or opcode == other.opcode for other in others):
         scanner.object("another SIF has this name or opcode", at)
     scanner.expect(" (", "behind the opcode")

@@ -135,7 +135,9 @@ def _check_type(own: Descriptors, found: Transducer) -> None:
     if types.is_open(found.type):
         raise ValueError(f"{found.name}: open")
     size = types.size((found.type,), own.definitions)
-    longest = 2 + 9 + size if "queue" in found.attributes else found.channels * (8 + size)
+    # An actuator has no use for a queue: its SAMPLE holds all channels (J2A-TRANS-015).
+    queued = found.kind == "sensor" and "queue" in found.attributes
+    longest = 2 + 9 + size if queued else found.channels * (8 + size)
     if longest > c.MAX_PAYLOAD:
         raise ValueError(f"{found.name}: a sample of {longest} bytes")
     for key in ("na", "threshold", "safe", "range"):

@@ -80,6 +80,11 @@ _WRONG = (
     ("structures 9 deep", "IFACE-005", "struct s0 (a u8)\n" + "".join(
         f"struct s{n} (a s{n - 1})\n" for n in range(1, 9)) + "\n"),
     ("the opcode 256", "IFACE-005", "sif s 256 ()\n\n"),
+    ("an opcode of four digits", "IFACE-001", "sif s 0032 ()\n\n"),
+    ("an opcode with a sign", "IFACE-001", "sif s -0 ()\n\n"),
+    ("two SIFs of one name", "IFACE-005", "sif s 1 ()\nsif s 2 ()\n\n"),
+    ("an element in another case", "IFACE-001", "enum e U8 (a=1)\n\n"),
+    ("a time with leading zeros", "IFACE-001", "\nf() !slow(05)\n"),
     ("two SIFs of one opcode", "IFACE-005", "sif s 1 ()\nsif t 1 ()\n\n"),
 )  # fmt: skip
 # Fields, then values: bytes as a list of numbers, a structure and an array as lists.
