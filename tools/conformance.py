@@ -56,9 +56,9 @@ FURTHER = (
 LINK = ("frame", "core", "sif", "timing")
 # The clock, and what transducers do at a time of the clock.
 TIMED = (
-    *("clock", "transducers.period", "transducers.period-late", "transducers.period-short"),
-    *("transducers.samples", "transducers.set", "transducers.trigger", "transducers.waiting"),
-    "transducers.watchdog",
+    *("clock", "transducers.at-once", "transducers.period", "transducers.period-late"),
+    *("transducers.period-short", "transducers.samples", "transducers.set", "transducers.trigger"),
+    *("transducers.unheard", "transducers.waiting", "transducers.watchdog"),
 )
 # The clock with USB frames: what asks for none leads the same lines as over a UART.
 FRAMES = (
