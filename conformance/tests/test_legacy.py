@@ -104,6 +104,57 @@ def test_long_properties_have_no_end():
     assert found.conformant
 
 
+class Robot(Firmware2014):
+    """Has the transducers of chapter 8 of the thesis: a2jGetTransds is of the application."""
+
+    def __init__(self, link, build):
+        super().__init__(link, build)
+        self.names.append(c.GET_TRANSDS)
+
+
+@pytest.mark.parametrize("build", ["time", "no-many", "no-properties"])
+def test_the_transducers_of_the_thesis_are_no_capability(build):
+    cases = ("dispatch.table-order", "transducers.announced", "mapping.content")
+    found = judge(build, lambda case: case.ID in cases, Robot)
+    assert of(found, Verdict.FAILED) == {}
+    assert found.conformant
+    assert not found.levels().get("transducers")
+    assert found.claims.functions[-1] == ""
+
+
+class EndAsAsked(Firmware2014):
+    """Where a read at the end fails, flags and data stay those of the request."""
+
+    def chunk(self, name, flags, offset, data):
+        code, last, found = super().chunk(name, flags, offset, data)
+        if name == c.GET_PROPERTIES and code == c.RET_FAILED:
+            return code, flags & c.FLAG_LAST, data
+        return code, last, found
+
+
+def test_a_read_at_the_end_may_leave_the_request_as_it_is():
+    found = judge("usb", lambda case: case.LEVEL == "properties", EndAsAsked)
+    assert of(found, Verdict.FAILED) == {}
+    assert "properties.behind-end" in of(found, Verdict.NON_STRICT)
+
+
+class PlainStore(Firmware2014):
+    """Has no a2jMany, so its `store` is a function like any other."""
+
+    def __init__(self, link, build):
+        super().__init__(link, build)
+        self.names.append("store")
+
+    def execute(self, name, payload):
+        return (0, payload) if name == "store" else super().execute(name, payload)
+
+
+def test_without_a2jmany_there_is_no_function_for_it():
+    found = judge("no-many", lambda case: case.LEVEL == "many", PlainStore)
+    assert set(of(found, Verdict.UNIMPLEMENTED)) == {case.case for case in found.results[3:]}
+    assert not found.levels().get("many")
+
+
 class Worse(Firmware2014):
     """Breaks what that firmware kept."""
 
@@ -126,6 +177,10 @@ class ReservedIsZero(Worse):
 
 class AnotherVersion(Worse):
     pairs = (("j2a.spec", "1.2"),)
+
+
+class HasNoToken(Robot, Worse):
+    pairs = (("j2a.spec", "1.1"),)
 
 
 class OffsetIsNotSentBack(Worse):
@@ -159,6 +214,7 @@ class EchoLosesAByte(Worse):
         (TakesWrongChecksums, "sum.every-length"),
         (ReservedIsZero, "dispatch.reserved-values"),
         (AnotherVersion, "properties.version"),
+        (HasNoToken, "transducers.announced"),
         (OffsetIsNotSentBack, "many.offsets"),
         (DoesNotStuffLongReplies, "frame.lengths"),
         (AnswersWithItsOwnSeq, "seq.every-value"),

@@ -67,6 +67,15 @@ class Requests:
         names = tuple(n if n in c.KNOWN_BUILTINS else "" for n in self.claims.functions)
         self.claims = replace(self.claims, functions=names)
 
+    def hide_capabilities(self) -> None:
+        """Take what is named like a function of a capability for one of the application.
+
+        So it is on devices of version 1.0: the thesis, too, has an a2jGetTransds.
+        """
+        of_capabilities = set(c.KNOWN_BUILTINS) - set(c.BUILTINS)
+        names = tuple("" if n in of_capabilities else n for n in self.claims.functions)
+        self.claims = replace(self.claims, functions=names)
+
     def out_of_range(self) -> range:
         """Return the opcodes that name no function; without a mapping only those at the top."""
         return range(len(self.claims.functions) if self.claims.mapped else 0xF0, 256)

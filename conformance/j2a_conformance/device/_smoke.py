@@ -218,7 +218,8 @@ class Mapping(_Smoke):
             due = {c.GET_ECHO, c.GET_ECHO_MANY} if has_many else {c.GET_ECHO}
             if missing := due - set(names):
                 fail(f"the mapping lacks {', '.join(sorted(missing))}")
-            if not has_many and (strange := c.WITH_MANY & set(names)):
+            # It has no properties to announce a capability by.
+            if not has_many and (strange := c.WITH_MANY & set(c.BUILTINS) & set(names)):
                 fail(f"the mapping has {', '.join(sorted(strange))} without {c.MANY}")
         mapped = code == c.RET_OK
         peer.claims = replace(peer.claims, mapped=mapped, functions=names)
@@ -281,6 +282,11 @@ class Echo(_Smoke):
             times.append(peer.link.now_s() - before_s)
         peer.claims = replace(peer.claims, rtt_s=min(times))
         peer.link.measured(2 * _BARRIER, min(times))
+        self._take_properties(peer)
+        if not {c.PROP_SPEC, c.PROP_CAPS} & peer.claims.properties.keys():
+            peer.hide_capabilities()
+
+    def _take_properties(self, peer: Peer) -> None:
         if not peer.has(c.GET_PROPERTIES):
             peer.longest = _agreed(peer, lambda: _room(peer))
             peer.link.note(f"the device takes payloads of up to {peer.longest} bytes")

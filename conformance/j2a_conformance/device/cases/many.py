@@ -192,6 +192,7 @@ class CalledDirectly(Case):
     EXPECTATION = "Error 0xF0."
     REQUIREMENTS = ("J2A-MANY-006",)
     LEVEL = "many"
+    NEEDS = (c.MANY,)  # else what is named like them is made for single frames
 
     def _run(self, peer: Peer) -> None:
         names = [n for n in (c.GET_ECHO_MANY, "store") if peer.has(n)]
