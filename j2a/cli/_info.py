@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Ask the device and print; returns the exit code."""
     with connect(args) as client:
-        functions = client.functions
+        functions, no_map = client.functions, client.map_problem
         interface, problem = client.interface, client.interface_problem
         descriptors = client.transducers.descriptors
         transducers_problem = client.transducers_problem
@@ -78,12 +78,14 @@ def run(args: argparse.Namespace) -> int:
         _print_head(facts, PROP_SPEC in properties)
         if clock is not None:
             show(f"clock     {_clock_text(clock)}")
-        show("functions" if functions else "functions (no map; call by opcode)")
+        show("functions" if functions else f"functions (none: {no_map}; call by opcode)")
         for function in functions.values():
             show(f"  {function.opcode:>3}  {function.__doc__}")
         for line in _descriptions(interface, descriptors):
             show(line)
-        reason = "(unreadable)" if unreadable else "(none)"
+        reason = "(none)" if functions else "(not known without a map)"
+        if unreadable:
+            reason = "(unreadable)"
         show("properties" if properties else f"properties {reason}")
         for line in columns(properties):
             show(f"  {line}")

@@ -27,6 +27,7 @@ from j2a_spec.constants import (
     GET_MAPPING,
     MIN_ROOM,
     RET_MAX,
+    RET_OK,
     TRANSD,
 )
 
@@ -174,6 +175,12 @@ class ClientBase:
     def interface_problem(self) -> str:
         """Why the interface of the device is not used (J2A-IFACE-009); "" where it is, or none."""
         return self._device.interface_problem
+
+    @property
+    def map_problem(self) -> str:
+        """Why functions cannot be called by name (J2A-MAP-005); "" where they can."""
+        names = self._device.names
+        return "" if names else names.no_map
 
     def use_types(self, interface_hash: str, classes: Mapping[str, type]) -> None:
         """Have the values of a known interface be of classes that are there already.
@@ -379,6 +386,12 @@ class ClientBase:
     def _what_came(self, bit_rate: int) -> str:
         """Return the end of the message that no device has answered."""
         counters = self.counters
+        if counters.stray_replies:
+            return (
+                f", although {_counted(counters.stray_replies, 'reply', 'replies')} came with a "
+                "seq that no request had; see that the board sends the seq of the request back, "
+                "and that no other program uses the link"
+            )
         if counters.frames_received:
             return (
                 f", although {_counted(counters.frames_received, 'valid frame')} came; see that "
@@ -468,7 +481,7 @@ class ClientBase:
             break
         self._session.echo_opcode = self._device.names.get(GET_ECHO)
         if self._window > 1:
-            yield from self._device.read_properties()
+            yield from self._device.learn_room()  # where they are unreadable, there is no rxbuf
             self._session.rxbuf = self._device.rxbuf
 
     def _take_map(self, limit_s: float) -> Transfer[None]:
@@ -478,6 +491,7 @@ class ClientBase:
         not asked for, which neither noise nor the traffic of others does.
         """
         answers: list[Reply | None] = []
+        is_echo = False
         for _ in range(_MAP_ASKS):
             strays = self.counters.stray_replies
             reply = yield from _ask_map(limit_s)
@@ -485,9 +499,15 @@ class ClientBase:
                 self._device.take_map(reply)
                 return
             answers = [reply] if self.counters.stray_replies == strays else []
+            is_echo = is_echo or reply == (RET_OK, b"")  # the request, read as a reply
         raise ProtocolError(
             "what answers shows no function map and does not say clearly that it has none, so it "
-            "is no device; see that speed and parity are the same at both ends"
+            "is no device; "
+            + (
+                "does the link echo what is sent, as some cables of one wire do?"
+                if is_echo
+                else "see that speed and parity are the same at both ends"
+            )
         )
 
     def _load_map(self) -> Transfer[None]:
@@ -628,8 +648,8 @@ def _name(function: str | int) -> str:
     return function.name if isinstance(function, RemoteFunction) else str(function)
 
 
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"
+def _counted(number: int, what: str, several: str = "") -> str:
+    return f"{number} {what if number == 1 else several or what + 's'}"
 
 
 def _insist(learn: Callable[[], Transfer[J2AError | None]]) -> Transfer[J2AError | None]:

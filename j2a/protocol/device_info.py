@@ -85,6 +85,8 @@ MANY_OPCODE: Final = 1
 _FoundT = TypeVar("_FoundT")
 _NO_ANSWER: Final = CallTimeout, LinkStalled, DamageReported
 """These are no word of the device about itself: the next time it may have one."""
+_UNREADABLE: Final = OpcodeRefused, FunctionFailed, ProtocolError, LegacyLimit
+"""The device answered, but not by properties that can be used, so it says nothing by them."""
 
 
 class Names(dict[str, int]):
@@ -161,7 +163,8 @@ class DeviceInfo:
         if reply is None:
             no_map = "it has no function map"
         elif reply.code != RET_OK:
-            no_map = f"its function map came with code 0x{reply.code:02X}, so it is damaged"
+            no_map = f"its function map came with code 0x{reply.code:02X}, so it is "
+            no_map += "damaged, or longer than a frame"
         elif not is_map(reply):
             self._put(None, ())
             raise ProtocolError(
@@ -422,7 +425,7 @@ class DeviceInfo:
         """
         try:
             yield from self.read_properties()
-        except (OpcodeRefused, FunctionFailed, ProtocolError, LegacyLimit):
+        except _UNREADABLE:
             if self.properties is None:  # another thread may have read them meanwhile
                 self.announced = Announced({})
         self.room = self.announced.room
@@ -555,7 +558,10 @@ class DeviceInfo:
     def _is_trusted(self, opcode: int) -> Transfer[bool]:
         if opcode in self._probed:
             return True
-        yield from self.read_properties()
+        try:
+            yield from self.read_properties()
+        except _UNREADABLE:
+            return False  # without j2a.spec it is of version 1.0 (J2A-PROP-005)
         self.check_version(Outcome.ANSWERED)
         return self.announced.has_long_offsets
 

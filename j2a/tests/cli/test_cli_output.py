@@ -186,6 +186,23 @@ def test_info_without_properties(run, fake, wire):
     assert told["error"]["exit_code"] == result.code
 
 
+@pytest.mark.parametrize(
+    ("code", "payload", "why"),
+    [
+        (0xF0, b"\1\0", "none: it has no function map; call by opcode"),
+        (0xFF, b"a2jGetMapping\0a2jM", "0xFF, so it is damaged, or longer than a frame; call by"),
+        (0, b"a2jGetMapping\0a2jM", "none: its function map is cut off; call by opcode"),
+    ],
+)
+def test_info_says_why_there_are_no_functions(run, fake, wire, code, payload, why):
+    reply, _ = wire
+    url = fake(lambda request: reply(request.seq, 0xF0 if request.opcode else code, payload))
+    result = run("info", url)
+    assert result.code == 0
+    assert why in result.out
+    assert "properties (not known without a map)" in result.out
+
+
 # ---------------------------------------------------------------------- serving
 
 

@@ -415,6 +415,60 @@ class TestHonestOldDevices:
             drive(device._execute, know(device).read("store", DEFAULT_MAX_BYTES, None))
 
 
+UNREADABLE = {
+    "failed": (0, b"\xff\1\0\0\0\0"),
+    "cut off": chunk(b"serial\x001\0ke", is_last=True),
+    "twice": chunk(b"serial\x001\0serial\x002\0", is_last=True),
+}
+
+
+class TestUnreadableProperties:
+    """A device that answers so says no j2a.spec, so it is of version 1.0 (J2A-PROP-005)."""
+
+    @staticmethod
+    def device(reply: tuple[int, bytes], old: type[j2a.Device]) -> j2a.Device:
+        class Unreadable(old):
+            def _execute(self, opcode, payload):
+                if opcode == 1 and payload[:1] == b"\2":
+                    return reply
+                return super()._execute(opcode, payload)
+
+        return Unreadable()
+
+    @pytest.mark.requirement("J2A-MANY-014")
+    @pytest.mark.parametrize("reply", UNREADABLE.values(), ids=UNREADABLE)
+    def test_the_probe_decides_on_long_transfers(self, reply):
+        device = self.device(reply, DemoDevice)
+        device._content += content(600)
+        peer = know(device)
+        assert drive(device._execute, peer.read("store", DEFAULT_MAX_BYTES, None)) == content(600)
+        data = content(5000)
+        drive(device._execute, peer.write("store", data, None))
+        assert device._content == data
+
+    @pytest.mark.requirement("J2A-MANY-014")
+    @pytest.mark.parametrize("reply", UNREADABLE.values(), ids=UNREADABLE)
+    def test_what_is_refused_is_told_of_the_function_that_was_asked_for(self, reply):
+        device = self.device(reply, OldDevice)
+        device.content = content(600)
+        with pytest.raises(j2a.LegacyLimit, match=r"^content needs offsets above 255"):
+            drive(device._execute, know(device).read("content", DEFAULT_MAX_BYTES, None))
+        with pytest.raises(j2a.LegacyLimit, match="content needs offsets above 255"):
+            drive(device._execute, know(device).write("content", content(600), None))
+        assert device.written == []
+
+    @pytest.mark.parametrize("window", [1, 8])
+    def test_both_clients_connect(self, window):
+        async def echo_asyncio(url: str) -> bytes:
+            async with await j2a.aconnect(url, window=window) as client:
+                return await client.echo(b"asyncio")
+
+        with served(self.device(UNREADABLE["failed"], DemoDevice)) as url:
+            with j2a.connect(url, window=window) as client:
+                assert client.echo(b"x") == b"x"
+            assert asyncio.run(echo_asyncio(url)) == b"asyncio"
+
+
 class TestPeer:
     def test_unknown_names_list_near_ones(self, peer):
         with pytest.raises(j2a.UnknownFunction, match="getTime"):

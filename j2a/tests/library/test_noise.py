@@ -8,7 +8,7 @@ from random import Random
 import j2a_transports
 import pytest
 from j2a_spec import oracle
-from j2a_spec.constants import MAX_PAYLOAD, SOS
+from j2a_spec.constants import MAX_PAYLOAD, SOF, SOS
 
 import j2a
 from j2a.demo import DemoDevice
@@ -21,6 +21,7 @@ from .support import PATIENCE_S, linked
 from .test_limits import Host
 
 SIF = oracle.encode(oracle.Frame(SOS, 0, 0x20, b""))
+OWN_SEQ = oracle.encode(oracle.Frame(SOF, 0, 0, b"a2jGetMapping\0"))
 
 
 @pytest.mark.parametrize("rate", RATES[:2])
@@ -37,6 +38,19 @@ def test_the_echo_of_a_link_is_no_device():
         noise.connect()
 
 
+def test_a_line_that_echoes_beside_a_device_is_named():
+    """The echo of each request answers it, and the reply of the device comes behind."""
+    noise = Noise(Random(0), None, 0)
+
+    def call(_what, opcode, payload, _limit_s):
+        noise._session._counts["stray_replies"] += 1
+        return Reply(opcode, payload)
+
+    noise.call = call
+    with pytest.raises(j2a.ProtocolError, match="does the link echo what is sent"):
+        noise.connect()
+
+
 @pytest.mark.parametrize(
     ("noise", "bit_rate", "told"),
     [
@@ -48,8 +62,9 @@ def test_the_echo_of_a_link_is_no_device():
         ),
         (b"hello\n", 9600, r"\d+ bytes came, .* could be made: is 9600 the right baud rate, and"),
         (SIF, 9600, r"within 5 s, although \d+ valid frames came; see that the board can receive"),
+        (OWN_SEQ, 9600, r"within 5 s, although \d+ replies came with a seq that no request had"),
     ],
-    ids=["silence", "noise", "noise at a baud rate", "SIFs"],
+    ids=["silence", "noise", "noise at a baud rate", "SIFs", "a seq of its own"],
 )
 def test_what_came_in_place_of_an_answer_is_told(noise, bit_rate, told):
     client = Noise(Random(0), lambda _random, _size: noise, 0)
