@@ -60,6 +60,7 @@ from j2a.protocol.transfer import (
     Chunk,
     OffsetCheck,
     Progress,
+    TooMuchError,
     Transfer,
     echo_chunks,
     exchange,
@@ -560,6 +561,8 @@ class DeviceInfo:
             return True
         try:
             yield from self.read_properties()
+        except TooMuchError:
+            raise  # J2A-LIMIT-008
         except _UNREADABLE:
             return False  # without j2a.spec it is of version 1.0 (J2A-PROP-005)
         self.check_version(Outcome.ANSWERED)

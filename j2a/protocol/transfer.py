@@ -38,6 +38,7 @@ __all__ = [
     "Chunk",
     "OffsetCheck",
     "Progress",
+    "TooMuchError",
     "Transfer",
     "echo_chunks",
     "read_chunks",
@@ -50,6 +51,10 @@ Progress = Callable[[int, int | None], None]
 MAX_OFFSET: Final = 2**32 - 1
 LEGACY_OFFSET: Final = 255
 _HEADER: Final = struct.Struct("<BBL")
+
+
+class TooMuchError(ProtocolError):
+    """The device sends more than is taken."""
 
 
 class Chunk(NamedTuple):
@@ -170,7 +175,8 @@ def read_chunks(
 
     Raises:
         RemoteError: the device refused or failed.
-        ProtocolError: the chunks do not fit together, or are more than `max_bytes`.
+        TooMuchError: the chunks are more than `max_bytes`.
+        ProtocolError: they do not fit together.
     """
     content = bytearray()
     first: Chunk | None = None
@@ -187,7 +193,7 @@ def read_chunks(
         first = first or chunk
         content += chunk.data
         if len(content) > max_bytes:
-            raise ProtocolError(f"{what}: the device sends more than {max_bytes} bytes; {advice}")
+            raise TooMuchError(f"{what}: the device sends more than {max_bytes} bytes; {advice}")
         if progress is not None:
             progress(len(content), len(content) if chunk.is_last else None)
         if chunk.is_last:

@@ -457,6 +457,22 @@ class TestUnreadableProperties:
             drive(device._execute, know(device).write("content", content(600), None))
         assert device.written == []
 
+    @pytest.mark.requirement("J2A-LIMIT-008")
+    def test_properties_without_an_end_are_told(self):
+        class Endless(DemoDevice):
+            def _execute(self, opcode, payload):
+                if opcode == 1 and payload[:1] == b"\2":
+                    offset = int.from_bytes(payload[2:6], "little")
+                    return 0, b"\0\0" + payload[2:6] + b"".join(
+                        b"k%08d\0value\0" % (offset + n) for n in range(0, 240, 16)
+                    )
+                return super()._execute(opcode, payload)
+
+        device = Endless()
+        device._content += content(600)
+        with pytest.raises(j2a.ProtocolError, match="takes no longer properties"):
+            drive(device._execute, know(device).read("store", DEFAULT_MAX_BYTES, None))
+
     @pytest.mark.parametrize("window", [1, 8])
     def test_both_clients_connect(self, window):
         async def echo_asyncio(url: str) -> bytes:
