@@ -38,11 +38,17 @@ def report_to(errors: list[BaseException]) -> Callable[[BaseException, Any], Non
 
 
 async def connect(url: str, report: Callable[[BaseException, Any], None]) -> j2a.AsyncClient:
-    """Connect; where the properties cannot be read now, without a window, which needs them."""
+    """Connect with a window, and without one where the properties cannot be read now.
+
+    A client without a window asks for them with the first call that needs them.
+    """
+    board = await j2a.aconnect(url, window=8, on_handler_error=report)
     try:
-        return await j2a.aconnect(url, window=8, on_handler_error=report)
+        await board.properties()
     except (j2a.RemoteError, j2a.ProtocolError):
+        await board.close()
         return await j2a.aconnect(url, on_handler_error=report)
+    return board
 
 
 class Host:

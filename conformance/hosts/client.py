@@ -34,11 +34,17 @@ def main(url: str) -> None:
 
 
 def connect(url: str, report: Callable[[BaseException, Any], None]) -> j2a.Client:
-    """Connect; where the properties cannot be read now, without a window, which needs them."""
+    """Connect with a window, and without one where the properties cannot be read now.
+
+    A client without a window asks for them with the first call that needs them.
+    """
+    board = j2a.connect(url, window=8, on_handler_error=report)
     try:
-        return j2a.connect(url, window=8, on_handler_error=report)
+        dict(board.properties)
     except (j2a.RemoteError, j2a.ProtocolError):
+        board.close()
         return j2a.connect(url, on_handler_error=report)
+    return board
 
 
 class Host:
