@@ -76,7 +76,7 @@ def test_info_of_a_device_that_tells_nothing(run, fake, wire):
     result = run("info", url)
     assert result.code == 0
     assert "does not say" in result.out
-    assert "no map; call by opcode" in result.out
+    assert "it has no function map; call by opcode" in result.out
     facts = json.loads(run("info", url, "--json").out)
     assert facts["functions"] == facts["properties"] == {}
     assert (facts["name"], facts["spec"], facts["rxbuf"]) == (None, "1.0", None)
