@@ -133,10 +133,6 @@ def open_url(url: Url) -> Transport:
     wait_s = options["connect_timeout"]
     try:
         sock = _connect(host, port, wait_s)
-        if sock.getsockname() == sock.getpeername():
-            # From one of the ports that the system hands out it has reached itself.
-            sock.close()
-            raise ConnectionRefusedError(errno.ECONNREFUSED, "Connection refused")
         return TcpTransport(url.text, sock, options["write_timeout"], may_be_refused=True)
     except TimeoutError as error:
         raise OpenFailed(
@@ -163,6 +159,8 @@ def _connect(host: str, port: int, wait_s: float | None) -> socket.socket:
                     left_s = (deadline - time.monotonic()) / (1 + len(places))
                     sock.settimeout(max(0.001, left_s))
                 sock.connect(place)
+                if _is_itself(sock):
+                    raise ConnectionRefusedError(errno.ECONNREFUSED, "Connection refused")
                 return sock
             except BaseException:
                 sock.close()
@@ -170,6 +168,14 @@ def _connect(host: str, port: int, wait_s: float | None) -> socket.socket:
         except OSError:
             if not places:
                 raise
+
+
+def _is_itself(sock: socket.socket) -> bool:
+    """Whether a connection has reached itself, from one of the ports that the system hands out."""
+    try:
+        return bool(sock.getsockname() == sock.getpeername())
+    except OSError:
+        return False  # the server has closed it already, as the first read will tell
 
 
 def listen_url(url: Url) -> Listener:

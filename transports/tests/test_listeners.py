@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import socket
 import stat
+import struct
 import subprocess
 import sys
 import threading
@@ -303,6 +305,28 @@ class TestTcp:
         with pytest.raises(OpenFailed, match=r"no answer within 5\.0 s"):
             j2a_transports.open("tcp://board:5000?connect_timeout=5")
         assert limits == pytest.approx([5 / 3] * 3)
+
+    def test_a_server_that_closes_at_once_is_a_lost_link(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Its address cannot be asked for then, and no socket may be left open."""
+        real = socket.socket.connect
+
+        def then_reset(sock: socket.socket, place: tuple[str, int]) -> None:
+            real(sock, place)
+            server, _ = listening.accept()
+            server.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            server.close()
+            select.select([sock], [], [], PATIENCE_S)
+
+        with socket.create_server(("127.0.0.1", 0)) as listening:
+            monkeypatch.setattr("socket.socket.connect", then_reset)
+            port = listening.getsockname()[1]
+            with (
+                j2a_transports.open(f"tcp://127.0.0.1:{port}") as link,
+                pytest.raises(LinkLost),
+            ):
+                link.read(PATIENCE_S)
 
     def test_a_client_that_reaches_itself_has_reached_nobody(
         self, monkeypatch: pytest.MonkeyPatch
