@@ -18,8 +18,7 @@ from typing import Any, Final
 
 import j2a
 from j2a.cli._typed import json_of, plain
-from j2a.cli._values import shortest_f32
-from j2a.types.transducers import LOST_BYTES, TIME_BYTES
+from j2a.types.transducers import LOST_BYTES, TIME_BYTES, shortest_f32
 
 __all__ = [
     "LAST",

@@ -12,9 +12,10 @@ from typing import Final
 
 import j2a
 from j2a.cli._exit import UsageError
-from j2a.cli._values import finite_or_said, is_payload_word, payload_of, shortest_f32
+from j2a.cli._values import finite_or_said, is_payload_word, payload_of
 from j2a.types.coding import name_on_wire
 from j2a.types.model import INTEGERS, Element, Enumeration, Field, Structure, Type
+from j2a.types.transducers import shortest_f32
 
 VALUES_HELP: Final = """\
 values, one for each parameter of a function that the device describes:

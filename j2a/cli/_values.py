@@ -17,7 +17,7 @@ from typing import BinaryIO, Final
 
 from j2a.cli._exit import UsageError
 from j2a.types.coding import NUMBER_CODES
-from j2a.types.transducers import rounded
+from j2a.types.transducers import shortest_f32
 
 PAYLOAD_HELP: Final = """\
 payload words, put one after the other:
@@ -139,12 +139,6 @@ def finite_or_said(text: str) -> float:
     if math.isinf(number) and "inf" not in text.lower():
         raise OverflowError(f"{text:.40} is beyond the numbers of an f64")
     return number
-
-
-def shortest_f32(number: float) -> float:
-    """Return the number of the fewest digits that is the same f32, as 0.1 is."""
-    found = (float(f"{number:.{digits}g}") for digits in range(1, 10))
-    return next((one for one in found if rounded("f32", one) == number), number)
 
 
 class _F32(float):

@@ -29,6 +29,7 @@ from j2a.types.transducers import (
     number_element,
     numbers_element,
     rounded,
+    shortest_f32,
 )
 
 __all__ = ["SampleCodec", "check_time", "number_text", "pack_time"]
@@ -334,8 +335,7 @@ def number_text(number: float, *, is_f32: bool = False) -> str:
 
     An f32 has as many digits as tell it from others: 0.1, and not 0.10000000149.
     """
-    short = (float(f"{number:.{digits}g}") for digits in range(6, 10) if is_f32)
-    return f"{next((one for one in short if rounded('f32', one) == number), number):.12g}"
+    return f"{shortest_f32(number) if is_f32 else number:.12g}"
 
 
 def _is_any(kind: Type) -> bool:

@@ -30,6 +30,7 @@ __all__ = [
     "numbers_element",
     "problem",
     "rounded",
+    "shortest_f32",
 ]
 
 Raw = int | float | bool
@@ -251,6 +252,12 @@ def rounded(element: str, number: float) -> float:
     except OverflowError:
         return math.copysign(math.inf, number)
     return float(found)
+
+
+def shortest_f32(number: float) -> float:
+    """Return the number of the fewest digits that is the same f32, as 0.1 is."""
+    found = (float(f"{number:.{digits}g}") for digits in range(1, 10))
+    return next((one for one in found if rounded("f32", one) == number), number)
 
 
 def number_element(kind: Type) -> str | None:

@@ -6,12 +6,12 @@ from j2a_spec import constants as c
 
 from j2a_conformance._judge import fail
 
-from .transducers import Board, _TransducerCase, slots, spread
+from ._board import Board, TransducerCase, slots, spread
 
 _AT_ONCE: Final = bytes(8)
 
 
-class SetBools(_TransducerCase):
+class SetBools(TransducerCase):
     """Sets actuators whose values are bools to bytes of all kinds."""
 
     ID = "transducers.set-bools"

@@ -10,7 +10,7 @@ from j2a_spec import transducers as types
 from j2a_conformance._judge import fail
 from j2a_conformance.device._clock import UNIX, Board, ClockCase, S, frame_request
 
-from . import transducers
+from . import _board as transducers
 from .clock import Values
 from .clock_waits import transducers_of
 from .sif import frames

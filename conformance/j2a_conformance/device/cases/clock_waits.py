@@ -11,7 +11,7 @@ from j2a_spec import transducers as types
 from j2a_conformance._judge import fail
 from j2a_conformance.device._clock import UNIX, Board, ClockCase, S
 
-from . import transducers
+from . import _board as transducers
 
 _HOUR: Final = 3600 * S
 _FAR_US: Final = 1 << 40
@@ -79,7 +79,7 @@ class Waits(ClockCase):
             fail(f"SET of {one.name} for {due + moved} us did not happen")
         for sensor in triggered:
             _, payload = devices.sif(sensor, since)
-            times = _times(devices, sensor, payload)
+            times = transducers.times_us(devices, sensor, payload)
             found += ((f"TRIGGER of {sensor.name}", time) for time in times)
         for name, time in found:
             if not due + moved - 2 <= time <= due + moved + self._LATE_US:
@@ -137,10 +137,3 @@ class Waiting(Waits):
             devices.no_sif(sensor, since, "though its trigger was far ahead")
             devices.write(sensor, c.TRANSD_TRIGGER, bytes(8))
         self._set(devices, 0)
-
-
-def _times(devices: transducers.Board, one: types.Transducer, payload: bytes) -> list[int]:
-    """Return the times of a sample SIF."""
-    if "queue" in one.attributes:
-        return [time for _, time, _ in transducers.queued(devices, one, payload)]
-    return [time for time, _ in transducers.slots(devices, one, payload)]

@@ -12,7 +12,7 @@ from j2a_transports import TransportError
 from j2a_conformance._judge import Judged, fail
 from j2a_conformance.device._peer import MANY_ONLY, Peer, Request
 
-from .transducers import Board, _TransducerCase, safe, settable, slots
+from ._board import Board, TransducerCase, safe, settable, slots
 
 _LIMIT_MS: Final = 150
 _TIMES: Final = 5
@@ -39,7 +39,7 @@ def kinds(peer: Peer) -> dict[str, _Make]:
     return made
 
 
-class Heard(_TransducerCase):
+class Heard(TransducerCase):
     """Sends requests of one kind only, again and again, for longer than the watchdog of an actuator
     waits.
     """

@@ -17,10 +17,10 @@ from j2a_spec import transducers as oracle
 
 from j2a_conformance._judge import fail
 
-from .transducers import (
+from ._board import (
     STIMULUS,
     Board,
-    _TransducerCase,
+    TransducerCase,
     is_readable,
     is_writable,
     queued,
@@ -46,10 +46,10 @@ _RATE: Final = 0.95  # the clock may run slower than the local time
 _IN_TIME: Final = 0.94
 
 
-class _Due(_TransducerCase):
+class _Due(TransducerCase):
     """Measures when sample SIFs of each sensor begin."""
 
-    NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
+    NEEDS = (*TransducerCase.NEEDS, STIMULUS)
 
     def _judge(self, board: Board) -> None:
         sensors = board.sensors()

@@ -10,7 +10,7 @@ from j2a_spec.oracle import Frame
 
 from j2a_conformance._judge import fail, skip
 
-from .transducers import Board, _TransducerCase
+from ._board import Board, TransducerCase
 
 _STATES: Final = (c.TRANSD_NOT_SAVED, c.TRANSD_SAVED, c.TRANSD_SAVING)
 _LONGEST_US: Final = 10_000_000
@@ -20,7 +20,7 @@ _AGAIN: Final = 3
 _SETTINGS: Final = range(c.TRANSD_ENABLED, c.TRANSD_WATCHDOG + 1)
 
 
-class Saving(_TransducerCase):
+class Saving(TransducerCase):
     """Saves the settings of each transducer, with right values and wrong ones, asks for SAVE until
     it is SAVED, and meanwhile saves it and others.
     """

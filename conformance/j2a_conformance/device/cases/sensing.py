@@ -10,17 +10,17 @@ from j2a_spec import transducers as oracle
 
 from j2a_conformance._judge import fail
 
-from .sif import frames, show
-from .transducers import (
+from ._board import (
     Board,
-    Refused,
-    _Taken,
     is_readable,
     is_writable,
     queued,
     slots,
     spread,
 )
+from .refused import Refused
+from .sif import frames, show
+from .taken import Taken
 
 _LIMIT: Final = 5
 _FILL: Final = (0, 10)
@@ -32,7 +32,7 @@ _EVERY: Final = 3
 _SOME: Final = 12
 
 
-class Counted(_Taken):
+class Counted(Taken):
     """Gives values to sensors with decimation while they are disabled, up to each place in the
     count, and then to the next one that is due.
     """
@@ -61,7 +61,7 @@ class Counted(_Taken):
             self._give(board, one, channel, board.value(one), number % every == 0)
 
 
-class EachChannel(_Taken):
+class EachChannel(Taken):
     """Gives values to each channel of sensors with decimation, in each place in the count, and of
     those with threshold, near to and far from another last value.
     """
@@ -99,7 +99,7 @@ class EachChannel(_Taken):
                     self._give(board, one, channel, value, due=step in (0, _LIMIT))
 
 
-class FullThreshold(_Taken):
+class FullThreshold(Taken):
     """Gives sensors with queue and threshold one value more than fits, and then values that differ
     from that one, or from the last one in the queue, by less.
     """
@@ -141,7 +141,7 @@ class FullThreshold(_Taken):
         self._give(board, one, channel, board.packed(one, last), due=True)
 
 
-class NoThreshold(_Taken):
+class NoThreshold(Taken):
     """Gives each value twice to sensors with the threshold 0: ends of the range, na and others."""
 
     ID = "transducers.threshold-0"
@@ -167,7 +167,7 @@ class NoThreshold(_Taken):
             yield board.packed(one, oracle.raw(one, na, board.descriptors.definitions))
 
 
-class KeptPeriod(_Taken):
+class KeptPeriod(Taken):
     """Writes settings of sensors within their period, and gives them a value then."""
 
     ID = "transducers.period-kept"
@@ -258,7 +258,7 @@ def refused(board: Board, one: oracle.Transducer) -> Iterator[list[tuple[bytes, 
         ]
 
 
-class _Meanwhile(_Taken):
+class _Meanwhile(Taken):
     """Has values wait for the end of the period, and asks for something meanwhile."""
 
     def _wait(

@@ -11,16 +11,25 @@ from j2a_transports import TransportError
 
 from j2a_conformance._judge import Judged, fail
 
+from ._board import (
+    SLACK_US,
+    STIMULUS,
+    US,
+    Board,
+    TransducerCase,
+    measured,
+    queued,
+    safe,
+    settable,
+    slots,
+)
 from .limits import delay
 from .sif import frames
-from .transducers import STIMULUS, Board, _TransducerCase, queued, safe, settable, slots
 
-_US: Final = struct.Struct("<Q")
 _LIMIT_MS: Final = 120
 _STEP_MS: Final = 30  # from the watchdog of one actuator to that of the next one
 _LATE_MS: Final = 40
 _BEFORE_US: Final = 90_000  # shorter than each watchdog, longer than one may be late
-_SLACK_US: Final = 1_000_000
 _LEAST_US: Final = 30_000
 _SPARE: Final = 2
 _TRIES: Final = 100
@@ -32,18 +41,7 @@ def _fit(board: Board, one: oracle.Transducer) -> int:
 
 
 def _set(board: Board, one: oracle.Transducer, due_us: int, values: list[bytes]) -> None:
-    board.write(one, c.TRANSD_SET, b"\0" + _US.pack(due_us) + b"".join(values))
-
-
-def _measured(board: Board, one: oracle.Transducer, since: int, due_us: int) -> None:
-    """Fail where a sensor has not measured soon after the time of its TRIGGER."""
-    _, payload = board.sif(one, since)
-    if "queue" in one.attributes:
-        times = [time_us for _, time_us, _ in queued(board, one, payload)]
-    else:
-        times = [time_us for time_us, _ in slots(board, one, payload)]
-    if not due_us <= max(times) <= due_us + _SLACK_US:
-        fail(f"{one.name} has measured at {max(times)} us, due was {due_us} us")
+    board.write(one, c.TRANSD_SET, b"\0" + US.pack(due_us) + b"".join(values))
 
 
 def _was_set(board: Board, one: oracle.Transducer, due_us: int, values: list[bytes]) -> None:
@@ -51,12 +49,12 @@ def _was_set(board: Board, one: oracle.Transducer, due_us: int, values: list[byt
     found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
     for channel, value in enumerate(values):
         time_us, raw = found[channel]
-        if raw != value or not due_us <= time_us <= due_us + _SLACK_US:
+        if raw != value or not due_us <= time_us <= due_us + SLACK_US:
             text = f"channel {channel} of {one.name} is {raw.hex()} since {time_us} us; it was to "
             fail(text + f"be {value.hex()} from {due_us} us on", suspect=time_us > due_us)
 
 
-class Unheard(_TransducerCase):
+class Unheard(TransducerCase):
     """Is silent for longer than the watchdogs of all actuators, each with another limit, where
     sensors are to measure and actuators without a watchdog to be set: once before the first of them
     expires, and once behind the last one.
@@ -104,7 +102,7 @@ class Unheard(_TransducerCase):
         for one in free:
             _set(board, one, due_us, values[one.id])
         for one in triggered:
-            board.write(one, c.TRANSD_TRIGGER, _US.pack(due_us))
+            board.write(one, c.TRANSD_TRIGGER, US.pack(due_us))
         for one, limit_ms in zip(guarded, limits_ms, strict=True):
             _set(board, one, 0, self._unsafe(board, one))
             if is_behind:
@@ -120,7 +118,7 @@ class Unheard(_TransducerCase):
         for one in free:
             _was_set(board, one, due_us, values[one.id])
         for one in triggered:
-            _measured(board, one, since, due_us)
+            measured(board, one, since, due_us)
 
     @staticmethod
     def _unsafe(board: Board, one: oracle.Transducer) -> list[bytes]:
@@ -144,7 +142,7 @@ class Unheard(_TransducerCase):
                 fail(f"{what} was made safe at {time_us} us, and heard at {asked_us} us")
 
 
-class AtOnce(_TransducerCase):
+class AtOnce(TransducerCase):
     """Lets samples of all sensors, TRIGGER of those that have it and SET of all actuators become
     due while `delay` keeps the device busy.
     """
@@ -152,7 +150,7 @@ class AtOnce(_TransducerCase):
     ID = "transducers.at-once"
     EXPECTATION = "Each value is sent, once, and each channel set: none is in the way of another."
     REQUIREMENTS = ("J2A-TRANS-006", "J2A-TRANS-011", "J2A-TRANS-016", "J2A-TRANS-018")
-    NEEDS = (*_TransducerCase.NEEDS, STIMULUS, "delay")
+    NEEDS = (*TransducerCase.NEEDS, STIMULUS, "delay")
 
     def _judge(self, board: Board) -> None:
         with ExitStack() as stack:
@@ -177,7 +175,7 @@ class AtOnce(_TransducerCase):
         actuators = [one for one in board.actuators() if not self._is_guarded(board, one)]
         spent_us = board.time_us() - begin_us
         period_us = _LEAST_US + 2 * _SPARE * spent_us
-        if period_us > _SLACK_US:
+        if period_us > SLACK_US:
             board.peer.link.note("the link is too slow for all to be due at once")
             return
         due_us = board.time_us() + period_us
@@ -186,7 +184,7 @@ class AtOnce(_TransducerCase):
         since = board.seen
         given = {one.id: self._give(board, one) for one in sensors}
         for one in triggered:
-            board.write(one, c.TRANSD_TRIGGER, _US.pack(due_us))
+            board.write(one, c.TRANSD_TRIGGER, US.pack(due_us))
         values = {
             one.id: [settable(board, one) for _ in range(_fit(board, one))] for one in actuators
         }
@@ -197,7 +195,7 @@ class AtOnce(_TransducerCase):
         for one in sensors:
             self._sent(board, one, since, given[one.id])
         for one in triggered:
-            _measured(board, one, since, due_us)
+            measured(board, one, since, due_us)
         for one in actuators:
             _was_set(board, one, due_us, values[one.id])
 
