@@ -38,10 +38,20 @@ def board_of(text: str = TRANSDS, name: str = "robot", serial: str = "", **more:
     return device
 
 
+_held: list[socket.socket] = []
+
+
 def free_port() -> int:
-    """Return a port of the loopback that nobody uses now."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
+    """Return a port of the loopback that nobody uses, nor is given until these tests end.
+
+    It stays bound, so that the system hands it to nobody, but does not listen: who asks for it by
+    its number, as servers do, may have it.
+    """
+    one = socket.socket()
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    one.bind(("127.0.0.1", 0))
+    _held.append(one)
+    return int(one.getsockname()[1])
 
 
 def children_of(pid: int) -> list[int]:
