@@ -34,6 +34,7 @@ WRAP_US: Final = 20_000_000
 MANY: Final = 600  # a number of one byte has wrapped
 _QUIET_S: Final = 0.03
 _MOST_SIFS: Final = 10_000
+ITEMS: Final = 12  # above the numbers of all items, and of some that there are not
 _BYTES: Final = (0x00, 0x01, 0x11, 0x12, 0x7C, 0x7D, 0x7F, 0x80, 0xEC, 0xED, 0xFF)
 FORMATS: Final = {"f32": "<f", "f64": "<d"}
 
@@ -273,6 +274,14 @@ class Board:
                 self._restore(one, before)
             raise
         self._restore(one, before)
+
+    def rewrite(self, one: oracle.Transducer) -> None:
+        """Read each item, and write those that can be written as they are."""
+        for item in range(ITEMS):
+            if is_readable(self, one, item):
+                value = self.read(one, item)
+                if is_writable(self, one, item):
+                    self.write(one, item, value)
 
     def _restore(self, one: oracle.Transducer, settings: dict[int, bytes]) -> None:
         for item, value in settings.items():

@@ -110,6 +110,7 @@ class Set(TransducerCase):
                 if board.has(one, item):
                     board.exchange(bytes((one.id, item)) + bytes(33), c.TRANSD_BAD_LENGTH)
             board.exchange(bytes((one.id, c.TRANSD_SET)), c.TRANSD_NO_ITEM)
+            board.rewrite(one)  # nor does what other items are
             for _ in board.until(due_us):
                 board.peer.link.pause(LOOK_S)
                 sample = board.read(one, c.TRANSD_SAMPLE)
@@ -244,6 +245,7 @@ class Watchdog(TransducerCase):
             fail(f"{one.name} was made safe within the time of its watchdog", suspect=True)
         due_us = board.time_us() + self.LIMIT_MS * 4000
         board.write(one, c.TRANSD_SET, b"\0" + US.pack(due_us) + value * fit)
+        board.rewrite(one)
         begin_us = board.time_us()
         self._silence(board, self.LIMIT_MS * 2.6)
         found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))

@@ -9,6 +9,7 @@ from j2a_spec import transducers as oracle
 from j2a_conformance._judge import fail
 
 from ._board import (
+    ITEMS,
     READ_ONLY,
     STIMULUS,
     WRITE_ONLY,
@@ -18,7 +19,6 @@ from ._board import (
 )
 from ._topics import WRONG_TOPICS
 
-_ITEMS: Final = 12  # above the numbers of all items, and of some that there are not
 _SHORT: Final = 40  # longer than a topic, and than a value of any type
 
 
@@ -60,18 +60,18 @@ class Refused(TransducerCase):
         for item in range(256):
             if item == c.TRANSD_SAVE:
                 continue
-            if _ITEMS < item < 255 and board.all[item % len(board.all)] is not one:
+            if ITEMS < item < 255 and board.all[item % len(board.all)] is not one:
                 continue
             if item in WRITE_ONLY or not board.has(one, item):
                 yield bytes((one.id, item))
             if item in READ_ONLY or not board.has(one, item):
-                lengths = (*range(1, _ITEMS + 1), board.peer.longest - 2) if item < _ITEMS else (1,)
+                lengths = (*range(1, ITEMS + 1), board.peer.longest - 2) if item < ITEMS else (1,)
                 for length in lengths:
                     yield bytes((one.id, item)) + bytes(length)
         # Longer ones to the transducers in turn, and of each to one item.
-        lacking = [item for item in range(_ITEMS) if item != c.TRANSD_SAVE]
+        lacking = [item for item in range(ITEMS) if item != c.TRANSD_SAVE]
         lacking = [item for item in lacking if item in READ_ONLY or not board.has(one, item)]
-        for length in range(_ITEMS + 1, board.peer.longest - 2):
+        for length in range(ITEMS + 1, board.peer.longest - 2):
             if board.all[length % len(board.all)] is one:
                 yield bytes((one.id, lacking[length % len(lacking)])) + bytes(length)
 

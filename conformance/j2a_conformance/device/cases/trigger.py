@@ -16,13 +16,10 @@ from ._board import (
     US,
     Board,
     TransducerCase,
-    is_readable,
-    is_writable,
     measured,
     slots,
 )
 
-_ITEMS: Final = 12  # above the numbers of all items, and of some that there are not
 # Times that none of us will see, also for who takes them for fewer bits or for a sign.
 _FAR_US: Final = (1 << 62, (1 << 63) - 1, 1 << 63, (1 << 63) + 12345, (1 << 64) - 1)
 _FAR_BITS: Final = (25, 33, 41, 49, 57)  # so much ahead of the clock: one in each byte
@@ -90,11 +87,7 @@ class Trigger(TransducerCase):
         board.exchange(begin, c.TRANSD_NO_ITEM)
         board.write(one, c.TRANSD_ENABLED, b"\0")
         board.write(one, c.TRANSD_ENABLED, b"\1")
-        for item in range(_ITEMS):
-            if is_readable(board, one, item):
-                value = board.read(one, item)
-                if is_writable(board, one, item):
-                    board.write(one, item, value)
+        board.rewrite(one)
 
     @staticmethod
     def _unsent(board: Board, one: oracle.Transducer, item: int, value: bytes) -> None:
