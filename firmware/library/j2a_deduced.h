@@ -67,10 +67,10 @@ J2A_BY_SIZE_(unsigned long long)
             return #name; \
         } \
         template <class T> static T get(const uint8_t *bytes) { \
-            return j2a_get_##name(bytes); \
+            return static_cast<T>(j2a_get_##name(bytes)); \
         } \
         template <class T> static void put(uint8_t *bytes, T value) { \
-            j2a_put_##name(bytes, value); \
+            j2a_put_##name(bytes, static_cast<type>(value)); \
         } \
     };
 J2A_BY_NAME_(bool, bool)
@@ -103,6 +103,10 @@ template <class T, uint8_t in_bytes, uint8_t out_bytes, uint16_t elements = 0> s
     static constexpr uint16_t count = elements;
     static constexpr const char *element() {
         return scalar<T>::element();
+    }
+    /* Did it find the memory that it needs? */
+    static constexpr bool is_whole() {
+        return true;
     }
 };
 
@@ -199,8 +203,11 @@ template <> struct parameters<> {
     static constexpr bool has_text = false, is_text_last = true;
     explicit parameters(uint8_t *, uint8_t, bool) {
     }
+    static constexpr bool is_whole() {
+        return true;
+    }
     template <class R, class F, class... A> R call(F function, A &&...arguments) {
-        return function(arguments...);
+        return function(static_cast<A &&>(arguments)...);
     }
     void leave(uint8_t *) const {
     }
@@ -217,6 +224,9 @@ template <class P, class... Rest> struct parameters<P, Rest...> {
     explicit parameters(uint8_t *bytes, uint8_t length, bool has_others)
         : head(bytes, length, has_others),
           tail(bytes + parameter<P>::in, static_cast<uint8_t>(length - parameter<P>::in), has_others) {
+    }
+    bool is_whole() const {
+        return head.is_whole() && tail.is_whole();
     }
     template <class R, class F, class... A> R call(F function, A &&...arguments) {
         return tail.template call<R>(function, static_cast<A &&>(arguments)..., head.pass());
@@ -283,9 +293,16 @@ template <class R, class... P> struct function<R (*)(P...)> {
                                  : j2a_begin(length, values_t::in)))
             return J2A_RET_FAILED;
         values_t values(*payload, *length, has_others);
+        if (!values.is_whole()) {
+            *length = 0;
+            return J2A_RET_FAILED;
+        }
         return returned<R>::end(target, values, length, payload);
     }
 };
+#ifdef __cpp_noexcept_function_type /* since C++17 it is a part of the type */
+template <class R, class... P> struct function<R (*)(P...) noexcept> : function<R (*)(P...)> {};
+#endif
 
 /* ------------------------------------------------------------------------- texts ------ */
 
@@ -584,6 +601,9 @@ template <class R, class... P> struct describe<R (*)(P...)> {
                 {parameter<P>::is_result..., false}};
     }
 };
+#ifdef __cpp_noexcept_function_type
+template <class R, class... P> struct describe<R (*)(P...) noexcept> : describe<R (*)(P...)> {};
+#endif
 
 /* ------------------------------------------------------------------------- memory ------ */
 
@@ -599,9 +619,10 @@ template <class T, unsigned long n> struct memory<T[n]> {
                 sizeof(T) == 1 && *scalar<T>::element() == 'u' ? "bytes" : scalar<T>::element(), n,
                 {""}, {0}, {false}};
     }
-    template <T (&of)[n]> static uint8_t many(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
+    /* By its address, because avr-gcc 5.4 takes no reference to a static array. */
+    template <T (*of)[n]> static uint8_t many(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
                                               uint8_t **const data) {
-        return j2a_buffer(reinterpret_cast<uint8_t *>(of), sizeof of, sizeof of[0], is_last, is_write, *offset, length,
+        return j2a_buffer(reinterpret_cast<uint8_t *>(*of), sizeof *of, sizeof(T), is_last, is_write, *offset, length,
                           *data);
     }
 };
@@ -621,26 +642,28 @@ template <class P, class... Rest> struct fields<P, Rest...> {
 };
 
 /* A SIF by its opcode and the types of its fields: j2a::sif<0x20, uint32_t, uint16_t> report; report(now, value); */
-template <uint8_t opcode, class... P> struct sif {
-    static constexpr uint8_t number = opcode;
+template <unsigned long opcode, class... P> struct sif {
+    static constexpr uint8_t number = static_cast<uint8_t>(opcode);
     static constexpr uint16_t size = parameters<P...>::in;
+    /* Checked here, because the Arduino core's -fpermissive lets a number be cut off. */
+    static_assert(opcode <= 255, "j2a::sif: an opcode is 0 to 255");
     static_assert(size <= J2A_MAX_PAYLOAD, "j2a::sif: the payload is longer than 255 bytes");
     static_assert(!parameters<P...>::has_text && parameters<P...>::out == 0, "j2a::sif: fields are numbers and arrays");
     static_assert(!(J2A_WITH_BOOT && opcode == J2A_BOOT), "j2a::sif: the opcode is that of the boot SIF");
     void operator()(P... values) const {
         uint8_t payload[size + 1]; /* C++ has no empty arrays */
         fields<P...>::put(payload, values...);
-        j2a_send_sif(opcode, static_cast<uint8_t>(size), payload);
+        j2a_send_sif(number, static_cast<uint8_t>(size), payload);
     }
 };
 template <class S> struct describe_sif {
     static_assert(sizeof(S) == 0, "J2A_SIF: this is no j2a::sif<opcode, types...>");
 };
-template <uint8_t opcode, class... P> struct describe_sif<sif<opcode, P...>> {
+template <unsigned long opcode, class... P> struct describe_sif<sif<opcode, P...>> {
     static constexpr unsigned names = sizeof...(P);
     static constexpr bool has_result = false;
     static constexpr line<sizeof...(P)> with(const char *name, const char *text) {
-        return {"sif ", name, " ", opcode, "(", ")", text, "", 0, {parameter<P>::element()..., ""},
+        return {"sif ", name, " ", static_cast<long>(opcode), "(", ")", text, "", 0, {parameter<P>::element()..., ""},
                 {parameter<P>::count..., 0}, {parameter<P>::is_result..., false}};
     }
 };
@@ -660,9 +683,11 @@ constexpr bool is_a_key_twice(const char *const *keys, unsigned k) {
 
 } // namespace j2a
 
-/* Checks a text against what it describes, which it keeps for the compiler as j2a_line_of_`target`. */
+/* Checks a text against what it describes, which it keeps for the compiler as j2a_line_of_`target`. Its length has a limit,
+ * because compilers nest no more than 512 calls. */
 #define J2A_CHECK_TEXT_(described, target, text) \
     static constexpr char j2a_text_of_##target[] = text; \
+    static_assert(sizeof j2a_text_of_##target <= 500, "J2A: " #target ": a text is shorter than 500 bytes"); \
     static constexpr auto j2a_line_of_##target = described::with(#target, j2a_text_of_##target); \
     static_assert(j2a::are_fields(j2a_line_of_##target.words()), \
                   "J2A: " #target ": a name is letters, digits and _, at most 32, and a unit may follow: speed(m/s)"); \

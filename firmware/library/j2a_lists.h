@@ -175,7 +175,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #if J2A_WITH_MANY
 #define J2A_NAME_OF_J2A_BUFFER(array, text) J2A_TYPED_NAME_(array)
 #define J2A_ENTRY_OF_J2A_BUFFER(array, text) \
-    J2A_TYPED_ENTRY_(array, &j2a::memory<decltype(array)>::many<array>, J2A_KIND_MANY)
+    J2A_TYPED_ENTRY_(array, &j2a::memory<decltype(array)>::many<&array>, J2A_KIND_MANY)
 #define J2A_SIZE_OF_J2A_BUFFER(array, text) + sizeof #array
 #else
 #define J2A_NAME_OF_J2A_BUFFER(array, text)
@@ -187,7 +187,11 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_ENTRY_OF_J2A_SIF(sif, text)
 #define J2A_SIZE_OF_J2A_SIF(sif, text)
 #if J2A_WITH_SIF && J2A_WITH_INTERFACE
-#define J2A_KIND_OF_J2A_SIF(sif, text) J2A_CHECK_TEXT_(j2a::describe_sif<decltype(sif)>, sif, text) J2A_WRITE_DEFINITION_(sif)
+#define J2A_KIND_OF_J2A_SIF(sif, text) \
+    J2A_CHECK_TEXT_(j2a::describe_sif<decltype(sif)>, sif, text) \
+    static_assert(sizeof #sif <= 33, "J2A: " #sif ": the name of a SIF has at most 32 characters"); \
+    static_assert(j2a::is_last(j2a::flag_at(j2a_line_of_##sif.words(), 0)), "J2A: " #sif ": a SIF has no flags"); \
+    J2A_WRITE_DEFINITION_(sif)
 #define J2A_MEMBER_OF_J2A_SIF(sif, text) decltype(j2a_map_of_##sif) of_##sif;
 #define J2A_CASE_OF_J2A_SIF(sif, text) case decltype(sif)::number:
 #define J2A_DEFINITION_OF_J2A_SIF(sif, text) j2a_map_of_##sif,

@@ -305,6 +305,80 @@ def test_types_of_an_avr(variant):
     assert board.call(3, b"\x02ab") == (0, b"abab")
 
 
+LITTLE_MEMORY = """
+#include <J2A.h>
+uint8_t taken[1350];
+uint8_t calls = 0;
+uint8_t take(uint8_t at) { return ++taken[at]; }
+uint8_t size(const String &text) { calls++; return text.length(); }
+uint8_t called() { return calls; }
+String line(uint8_t length) {
+  String text;
+  if (text.reserve(length))
+    while (text.length() < length)
+      text += '-';
+  else
+    text = (const char *)nullptr; // what a String is that found no memory
+  return text;
+}
+J2A_FUNCTIONS(
+  J2A_FUNCTION(take, "at: Keeps the array."),
+  J2A_FUNCTION(size, "text: Returns its length."),
+  J2A_FUNCTION(called, "Returns how often size was called."),
+  J2A_FUNCTION(line, "length: Returns a line.")
+);
+J2A_PROPERTIES();
+void setup() {
+  Serial.begin(115200);
+  J2A.begin(Serial);
+}
+void loop() { J2A.task(); }
+"""
+
+
+def test_call_fails_without_memory_for_a_string(variant, tmp_path):
+    (tmp_path / "Little").mkdir()
+    (tmp_path / "Little/Little.ino").write_text(LITTLE_MEMORY)
+    board = Board(variant("uno", tmp_path / "Little"))
+    assert board.call(1, b"x" * 20) == (0, b"\x14")
+    assert board.call(1, b"x" * 240, ms=80) == (c.RET_FAILED, b"")
+    assert board.call(2) == (0, b"\x01")
+    assert board.call(3, b"\x14") == (0, b"-" * 20)
+    assert board.call(3, b"\xf0") == (c.RET_FAILED, b"")
+
+
+ODD_TYPES = """
+#include <J2A.h>
+enum class Door : bool { shut, open };
+Door other(Door now) { return now == Door::shut ? Door::open : Door::shut; }
+static uint16_t kept[3] = {1, 2, 3};
+J2A_FUNCTIONS(
+  J2A_FUNCTION(other, "now: Returns the other one."),
+  J2A_BUFFER(kept, "A static array.")
+);
+J2A_PROPERTIES();
+void setup() {
+  Serial.begin(115200);
+  J2A.begin(Serial);
+}
+void loop() { J2A.task(); }
+"""
+
+
+def test_enumeration_of_bool_and_static_array(variant, tmp_path):
+    (tmp_path / "Odd").mkdir()
+    (tmp_path / "Odd/Odd.ino").write_text(ODD_TYPES)
+    board = Board(variant("uno", tmp_path / "Odd"))
+    assert board.interface()[2] == [
+        "other(now bool) bool # Returns the other one.",
+        "kept many u16[3] # A static array.",
+    ]
+    assert board.call(0, b"\0") == (0, b"\1")
+    assert board.call(0, b"\1") == (0, b"\0")
+    head = bytes((0, c.FLAG_LAST)) + bytes(4)
+    assert board.many(FIRST + 1) == head + struct.pack("<3H", 1, 2, 3)
+
+
 def test_sketch_of_the_comparison(variant, tmp_path):
     page = (ROOT / "docs/comparison.md").read_text()
     sketch = re.search(r"^```cpp\n(.*?)^```", page, re.M | re.S)[1]

@@ -110,6 +110,7 @@ CALLS = [
     ("f64s", struct.pack("<d", 1e-300), struct.pack("<d", 1e-300)),
     ("modes", b"\1", b"\1"),
     ("levels", struct.pack("<h", -300), struct.pack("<h", -300)),
+    ("doors", b"\2", b"\1"),
     ("texts", b"", b""),
     ("texts", b"h\xc3\xa9llo", b"h\xc3\xa9llo"),
     ("texts", b"x" * 254, b"x" * 254),
@@ -297,6 +298,14 @@ MISTAKES = [
     ("int f;", 'J2A_SIF(f, "Doc.")', "this is no j2a::sif"),
     ("j2a::sif<1, int> f;", 'J2A_SIF(f, "Doc.")', "f: as many names as parameters"),
     ("j2a::sif<1> f, g;", 'J2A_SIF(f, ""), J2A_SIF(g, "")', "duplicate case value"),
+    ("int f() { return 0; }", f'J2A_FUNCTION(f, "{"x" * 500}")', "f: a text is shorter than 500"),
+    ("j2a::sif<300> f;", 'J2A_SIF(f, "")', "an opcode is 0 to 255"),
+    ("j2a::sif<1> f;", 'J2A_SIF(f, "!idempotent: Doc.")', "f: a SIF has no flags"),
+    (
+        f"j2a::sif<1> {'f' * 33};",
+        f'J2A_SIF({"f" * 33}, "Doc.")',
+        "the name of a SIF has at most 32",
+    ),
     ("j2a::sif<1, const char *> f;", 'J2A_SIF(f, "a: Doc.")', "fields are numbers"),
 ]
 
@@ -321,6 +330,20 @@ def test_mistakes_are_told(two_files, tmp_path, need, compiler, before, item, me
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode != 0
     assert message in result.stderr, result.stderr
+
+
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+def test_text_may_have_499_bytes(two_files, tmp_path, need, compiler):
+    need(compiler)
+    source = tmp_path / "app.cpp"
+    source.write_text(
+        f'#include "j2a.h"\nint f(int a) {{ return a; }}\n'
+        f'J2A_FUNCTIONS(J2A_FUNCTION(f, "a:{"x" * 497}"));\nJ2A_PROPERTIES();\n'
+    )
+    command = [compiler, "-std=c++11", "-DJ2A_RXBUF=255", "-DJ2A_TXBUF=0", f"-I{two_files}"]
+    command += ["-DJ2A_WITH_INTERFACE=1", "-fsyntax-only", str(source)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.parametrize(

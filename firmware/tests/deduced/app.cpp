@@ -5,6 +5,7 @@
 
 enum class Mode : uint8_t { off, on };
 enum Level : int16_t { low = -300, high = 300 };
+enum class Door : bool { shut, open };
 
 static uint8_t calls;
 
@@ -21,6 +22,7 @@ float f32s(float value) { return value; }
 double f64s(const double &value) { return value; }
 Mode modes(Mode value) { return value; }
 static Level levels(Level value) { return value; }
+Door doors(Door value) noexcept { return value; }
 void nothing() { calls++; }
 uint8_t count() { return calls; }
 const char *texts(const char *text) { return text; }
@@ -91,6 +93,7 @@ J2A_FUNCTIONS(
     J2A_FUNCTION(f64s, "value:"),
     J2A_FUNCTION(modes, "value:"),
     J2A_FUNCTION(levels, "value:"),
+    J2A_FUNCTION(doors, "value:"),
     J2A_CALL(raw, raw),
     J2A_FUNCTION(nothing, "Does nothing."),
     J2A_FUNCTION(count, ""),

@@ -46,12 +46,17 @@ template <class... P> struct sensed<void(void (*)(P...))> {
     } \
     static_assert(true, "") /* takes the semicolon of the user */
 
-/* A String is a text, too. As a result it is copied into the reply. */
+/* A String is a text, too. As a result it is copied into the reply. One that finds no memory is empty: then the call fails. */
 namespace j2a {
 template <> struct parameter<String> : text {
-    using text::text;
-    String pass() {
-        return String(value);
+    String copy;
+    explicit parameter(uint8_t *bytes, uint8_t length, bool has_others) : text(bytes, length, has_others), copy(value) {
+    }
+    bool is_whole() const {
+        return copy.length() == strlen(value);
+    }
+    String &&pass() {
+        return static_cast<String &&>(copy);
     }
 };
 template <> struct parameter<const String &> : parameter<String> {
@@ -64,7 +69,7 @@ template <> struct returned<String> {
     }
     template <class Values, class F> static uint8_t end(F function, Values &values, uint8_t *length, uint8_t **payload) {
         const String result = values.template call<String>(function);
-        if (result.length() > J2A_ROOM)
+        if (result.c_str() == nullptr || result.length() > J2A_ROOM)
             j2a_fail(J2A_RET_FAILED);
         else
             memcpy(*payload, result.c_str(), result.length());
