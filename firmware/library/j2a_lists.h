@@ -191,6 +191,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
     J2A_CHECK_TEXT_(j2a::describe_sif<decltype(sif)>, sif, text) \
     static_assert(sizeof #sif <= 33, "J2A: " #sif ": the name of a SIF has at most 32 characters"); \
     static_assert(j2a::is_last(j2a::flag_at(j2a_line_of_##sif.words(), 0)), "J2A: " #sif ": a SIF has no flags"); \
+    J2A_CHECK_SENSORS_(sif) \
     J2A_WRITE_DEFINITION_(sif)
 #define J2A_MEMBER_OF_J2A_SIF(sif, text) decltype(j2a_map_of_##sif) of_##sif;
 #define J2A_CASE_OF_J2A_SIF(sif, text) case decltype(sif)::number:
@@ -235,10 +236,14 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_CHECK_SIZE_(...)
 #endif
 
-/* Transducers that an application lists apart from the core bring their functions. */
+/* Transducers that an application lists apart from the core bring their functions, and opcodes of SIFs. */
+#define J2A_CHECK_SENSORS_(sif)
 #if !J2A_TRANSDUCERS_APART
 #define J2A_FUNCTIONS J2A_TABLE_
 #elif J2A_WITH_TRANSDUCERS
+#undef J2A_CHECK_SENSORS_
+#define J2A_CHECK_SENSORS_(sif) \
+    static_assert(!j2a::is_sensor(decltype(sif)::number), "J2A: " #sif ": its opcode is the id of a sensor");
 #define J2A_FUNCTIONS(...) \
     J2A_TABLE_(J2A_MANY(a2jGetTransds, j2a_get_transds), J2A_CALL(a2jTransd, j2a_transd), __VA_ARGS__)
 #else

@@ -165,6 +165,16 @@ class TestWrongLists:
     def test_the_right_one_does(self, build):
         assert build("Right", SKETCH.format(list=ONE))[1] == ""
 
+    @pytest.mark.parametrize(("opcode", "said"), [(1, "f: its opcode is the id of a sensor"), (2, "")])
+    def test_sif_with_the_opcode_of_samples(self, build, opcode, said):
+        listed = f"{ONE} ACTUATOR(b, 2, b, X, 1, bool, 0)"
+        sketch = SKETCH.format(list=listed).replace(
+            "J2A_FUNCTIONS()",
+            f'void b_set(uint8_t, bool) {{}}\nj2a::sif<{opcode}> f;\nJ2A_FUNCTIONS(J2A_SIF(f, ""))',
+        )
+        printed = build("Opcode", sketch)[1]
+        assert said in printed if said else printed == ""
+
     def test_list_behind_the_library(self, build):
         lines = SKETCH.format(list=ONE).splitlines(keepends=True)
         lines[0], lines[1] = lines[1], lines[0]

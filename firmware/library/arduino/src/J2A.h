@@ -25,6 +25,22 @@
 extern "C" {
 #include "j2a_transds_table.h"
 }
+namespace j2a {
+/* Is it the opcode of a sensor's samples? */
+constexpr bool is_sensor(uint8_t opcode) {
+#undef J2A_ENUM
+#undef J2A_STRUCT
+#undef J2A_TRANSD
+#define J2A_ENUM(name, integer, ...)
+#define J2A_STRUCT(name, ...)
+#define J2A_TRANSD(KIND, name, id, ...) J2A_IS_##KIND(id) ||
+#define J2A_IS_SENSOR(id) opcode == id
+#define J2A_IS_ACTUATOR(id) false
+    return
+#include "j2a_transds_list.h"
+        false;
+}
+} // namespace j2a
 #endif
 
 namespace j2a {
