@@ -5,7 +5,8 @@ arduino-core-avr, sketches by the name of an example or as folders. What flows o
 in --out, and a line of sizes each. Rules: the commands are those of the package's platform.txt and
 boards.txt; our own files are compiled with all warnings as errors, the core's with none; an object
 that the same command has made of the same files is not made again. Headers of libraries are found
-by the #include lines of the sketch.
+by the #include lines of the sketch. As in the IDE all files of its folder belong to a sketch; what
+the IDE does besides, declare functions before their definition, is left out.
 """
 
 import argparse
@@ -21,6 +22,7 @@ import arduino_library
 
 PLATFORM = Path("/usr/share/arduino/hardware/arduino/avr")
 BOARDS = {"uno": "uno", "mega": "mega.menu.cpu.atmega2560", "leonardo": "leonardo"}
+SOURCES = {".c", ".cpp"}
 STRICT = "-Wall -Wextra -Wundef -Werror"
 OBJECT = "J2A_OBJECT"  # stands for the object file in a command
 INCLUDE = re.compile(r'^\s*#\s*include\s+[<"](\w+)\.h[>"]', re.M)
@@ -166,15 +168,26 @@ def build(board: Board, library: Path, sketches: list[Path], out: Path) -> list[
     ]
     images = []
     for sketch in sketches:
-        text = (sketch / f"{sketch.name}.ino").read_text("utf-8")
+        main = sketch / f"{sketch.name}.ino"
+        tabs = [main, *sorted(path for path in sketch.glob("*.ino") if path != main)]
+        # The file of the sketch's name comes first; an editor may have saved it in another encoding.
+        text = "".join(
+            f'#line 1 "{tab.name}"\n{tab.read_text("utf-8", "surrogateescape")}\n' for tab in tabs
+        )
+        parts = [path for path in sketch.iterdir() if path.suffix in {*SOURCES, ".h"}]
+        parts += (sketch / "src").rglob("*.[ch]*")
         own = folder / "sketch" / sketch.name
         own.mkdir(parents=True, exist_ok=True)
         cpp = own / f"{sketch.name}.ino.cpp"
-        cpp.write_text(f'#include <Arduino.h>\n#line 1 "{sketch.name}.ino"\n{text}', "utf-8")
-        used = _libraries(text)
-        objects = [board.compile(cpp, own / f"{cpp.name}.o", [source, *used], ours=True), *shared]
-        for other in sorted(path for used_folder in used for path in used_folder.glob("*.cpp")):
-            objects.append(board.compile(other, own / f"{other.name}.o", used, ours=False))
+        cpp.write_text(f"#include <Arduino.h>\n{text}", "utf-8", "surrogateescape")
+        texts = (path.read_text("utf-8", "surrogateescape") for path in parts)
+        used = _libraries("\n".join([text, *texts]))
+        includes = [sketch, source, *used]
+        objects = list(shared)
+        for path in [cpp, *sorted(path for path in parts if path.suffix in SOURCES)]:
+            objects.append(board.compile(path, own / f"{path.name}.o", includes, ours=True))
+        for path in sorted(path for each in used for path in each.rglob("*.c*")):
+            objects.append(board.compile(path, own / f"{path.name}.o", used, ours=False))
         image = folder / f"{sketch.name}.elf"
         board.link(objects, archive, image)
         images.append(image)

@@ -287,6 +287,25 @@ def test_properties_and_many(built):
     ]
 
 
+def test_all_files_of_a_sketch_are_built(variant, tmp_path):
+    folder = tmp_path / "with blanks" / "Tabs"
+    (folder / "src/deep").mkdir(parents=True)
+    (folder / "twice.ino").write_text("int twice(int a) { return 2 * a; }\n")
+    (folder / "numbers.h").write_text("#include <Wire.h>\nint thrice(int a);\nextern int four;\n")
+    (folder / "thrice.cpp").write_text('#include "numbers.h"\nint thrice(int a) { return 3 * a; }\n')
+    (folder / "src/deep/four.c").write_text("int four = 4;\n")
+    (folder / "Tabs.ino").write_text(
+        '#include <J2A.h>\n#include "numbers.h"\nint twice(int a);\n'
+        "int sum(int a) { return twice(a) + thrice(a) + four + Wire.available(); }\n"
+        'J2A_FUNCTIONS(J2A_FUNCTION(sum, "a: \u00b0C, as Latin-1."));\nJ2A_PROPERTIES();\n'
+        "void setup() { Serial.begin(115200); Wire.begin(); J2A.begin(Serial); }\n"
+        "void loop() { J2A.task(); }\n",
+        "latin-1",
+    )
+    board = Board(variant("uno", folder))
+    assert board.call(0, struct.pack("<h", 10)) == (0, struct.pack("<h", 54))
+
+
 def test_types_of_an_avr(variant):
     board = Board(variant("uno", FAKE / "Types"))
     assert board.interface()[1:] == (
