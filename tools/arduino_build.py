@@ -209,6 +209,8 @@ def main() -> int:
     if library is None:
         library = args.out / arduino_library.NAME
         arduino_library.write_folder(library, "")
+    elif not (library / "src/J2A.h").is_file():
+        parser.error(f"--library {library} is not what arduino_library.py makes: no src/J2A.h")
     sketches = []
     for name in args.sketches or arduino_library.examples():
         here = Path(name)

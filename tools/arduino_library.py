@@ -3,7 +3,8 @@
 What flows in: firmware/library/arduino, and the core in two files as tools/amalgamate.py makes it,
 with the table of transducers in a third one, because each sketch compiles its own.
 What flows out: both in --out. Rules: the same sources give the same bytes; the core's files are not
-called j2a.h and j2a.c, which would be J2A.h on a file system that does not tell case apart.
+called j2a.h and j2a.c, which would be J2A.h on a file system that does not tell case apart; of what
+is in the way only an older copy of the library is deleted.
 """
 
 import argparse
@@ -44,8 +45,14 @@ def filled(text: str, url: str) -> str:
 
 
 def write_folder(folder: Path, url: str) -> None:
-    """Write the library; what was in the folder before is gone."""
+    """Write the library; an older copy in the folder is gone.
+
+    Raises:
+        SystemExit: something else is there.
+    """
     if folder.exists():
+        if not (folder / "library.properties").is_file():
+            sys.exit(f"{folder} is not this library, so it is not deleted: name another --out")
         shutil.rmtree(folder)
     for path in sorted(SOURCES.rglob("*")):
         if path.is_file():

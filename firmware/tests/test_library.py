@@ -3,6 +3,7 @@
 import json
 import re
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -69,6 +70,20 @@ def test_same_bytes_each_time(packed, tmp_path, tool):
     tool("arduino_library.py", "--out", tmp_path)
     (archive,) = packed.parent.glob("*.zip")
     assert (tmp_path / archive.name).read_bytes() == archive.read_bytes()
+
+
+def test_only_the_library_itself_is_deleted(tmp_path, tool):
+    other = tmp_path / "J2A/thesis.txt"
+    other.parent.mkdir()
+    other.write_text("no copy")
+    command = [sys.executable, ROOT / "tools/arduino_library.py", "--out", tmp_path]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, other.read_text()) == (1, "no copy")
+    assert "is not this library, so it is not deleted" in result.stderr
+    other.unlink()
+    other.parent.rmdir()
+    for _ in range(2):
+        tool("arduino_library.py", "--out", tmp_path)
 
 
 def test_folder_is_what_the_ide_expects(packed):
