@@ -50,7 +50,12 @@ class Found:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    args = _parser().parse_args(argv)
+    parser = _parser()
+    args = parser.parse_args(argv)
+    if args.sample and not args.dimensions:
+        parser.error("--sample is for --dimensions")
+    if args.dimensions and (args.write or args.record or args.changed):
+        parser.error("--dimensions keeps nothing: leave out --write, --record and --changed")
     try:
         if args.dimensions:
             return _dimensions(args)
@@ -154,7 +159,7 @@ def _dimensions(args: argparse.Namespace) -> int:
         if args.sample:
             mutants = dimensional.sample(mutants, args.sample, args.seed)
         chosen += [(target, mutant) for mutant in mutants]
-    args.all_cases = args.write = False
+    args.all_cases = False
     known = matrix.read(matrix.MATRIX) if matrix.MATRIX.exists() else {}
     found = _judge_all(chosen, _likely(chosen, known), args)
     killed = [

@@ -275,6 +275,16 @@ def test_a_number_of_jobs_is_at_least_1(count, capsys):
     assert "-j" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "words", [["--sample", "3"], *(["--dimensions", f"--{w}"] for w in ("write", "record", "changed"))]
+)
+def test_options_that_say_nothing_together_are_refused(words, monkeypatch, capsys):
+    monkeypatch.setattr(kill, "_judge_all", lambda *_: pytest.fail("judges"))
+    with pytest.raises(SystemExit, match="2"):
+        kill.main(words)
+    assert "--dimensions" in capsys.readouterr().err
+
+
 def test_a_mutant_that_the_target_leaves_out_is_said(capsys):
     assert kill.main(["--only", "core-stuff-004", "--target", "host"]) == 1
     assert "--target leaves out core-stuff-004" in capsys.readouterr().err
