@@ -554,8 +554,10 @@ template <unsigned n> struct parts {
     constexpr unsigned long length(unsigned i) const {
         return i == n ? 0 : of[i].length + length(i + 1);
     }
-    constexpr char at(unsigned long i, unsigned k, char end) const {
-        return k == n ? end : i < of[k].length ? of[k].at(i) : at(i - of[k].length, k + 1, end);
+    /* Character i of the first k parts, which have so many. From the last one on: that is the documentation, the longest. */
+    constexpr char at(unsigned long i, unsigned k, unsigned long count) const {
+        return i < count - of[k - 1].length ? at(i, k - 1, count - of[k - 1].length)
+                                            : of[k - 1].at(i - (count - of[k - 1].length));
     }
 };
 template <unsigned... i> struct indices {};
@@ -583,7 +585,7 @@ template <unsigned n> constexpr parts<line<n>::PARTS> parts_of(const line<n> &fr
 }
 template <unsigned n, unsigned... i> constexpr characters<sizeof...(i)> written(const parts<n> &from, char end,
                                                                                 indices<i...>) {
-    return {{from.at(i, 0, end)...}};
+    return {{(i == sizeof...(i) - 1 ? end : from.at(i, n, sizeof...(i) - 1))...}};
 }
 template <unsigned long size, unsigned n> constexpr characters<size> written(const parts<n> &from, char end) {
     return written(from, end, typename up_to<size>::type());
