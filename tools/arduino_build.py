@@ -201,7 +201,7 @@ def main() -> int:
     parser.add_argument("--board", choices=[*BOARDS, "all"], default="all")
     parser.add_argument("--library", type=Path, help="folder J2A (default: made first)")
     parser.add_argument("--out", type=Path, default=arduino_library.DEFAULT_OUT)
-    parser.add_argument("--options", default="", help="for the compiler, such as -DJ2A_LINKS=2")
+    parser.add_argument("--options", default="", help="for the compiler: --options=-DJ2A_LINKS=2")
     args = parser.parse_args()
     if not (PLATFORM / "platform.txt").is_file():
         sys.exit(f"{PLATFORM} is missing: install the package arduino-core-avr")
