@@ -76,9 +76,11 @@ def test_the_example(start):
     (millivolts,) = transducers["light"].wait(10).values
     assert abs(millivolts - 2500) < 10
     with transducers["distance"].samples() as samples:
-        transducers["distance"].trigger()
-        (millimeters,) = samples.wait(10).values
-        assert abs(millimeters - 94620 / (1023 / 5 - 17)) < 5
+        for mm, volts in ((300, 1.99), (600, 1.04), (1100, 0.60), (1500, 0.45)):  # of the data sheet
+            sim.adc.set_volts(1, volts)
+            transducers["distance"].trigger()
+            (millimeters,) = samples.wait(10).values
+            assert millimeters == pytest.approx(mm, rel=0.06)
         sim.adc.set_volts(1, 0.1)  # too far
         transducers["distance"].trigger()
         assert samples.wait(10).values == (None,)

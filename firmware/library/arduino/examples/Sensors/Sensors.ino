@@ -22,8 +22,8 @@ void turned() {
 }
 
 void sharp_trigger() {
-  const int16_t value = analogRead(A1);
-  const uint32_t distance = value > 17 ? 94620L / (value - 17) : 0;
+  const uint16_t value = analogRead(A1);
+  const uint32_t distance = value > 2 ? 144200UL / value - 70 : 0; /* the curve of the data sheet, within 6 % */
   sharp_sense(0, distance < 200 || distance > 1500 ? 0 : distance);
 }
 
