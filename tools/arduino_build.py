@@ -170,7 +170,7 @@ def build(board: Board, library: Path, sketches: list[Path], out: Path) -> list[
     for sketch in sketches:
         main = sketch / f"{sketch.name}.ino"
         tabs = [main, *sorted(path for path in sketch.glob("*.ino") if path != main)]
-        # The file of the sketch's name comes first; an editor may have saved it in another encoding.
+        # The sketch's own comes first; an editor may have saved them in another encoding.
         text = "".join(
             f'#line 1 "{tab.name}"\n{tab.read_text("utf-8", "surrogateescape")}\n' for tab in tabs
         )
@@ -183,11 +183,14 @@ def build(board: Board, library: Path, sketches: list[Path], out: Path) -> list[
         texts = (path.read_text("utf-8", "surrogateescape") for path in parts)
         used = _libraries("\n".join([text, *texts]))
         includes = [sketch, source, *used]
-        objects = list(shared)
-        for path in [cpp, *sorted(path for path in parts if path.suffix in SOURCES)]:
-            objects.append(board.compile(path, own / f"{path.name}.o", includes, ours=True))
-        for path in sorted(path for each in used for path in each.rglob("*.c*")):
-            objects.append(board.compile(path, own / f"{path.name}.o", used, ours=False))
+        objects = [board.compile(cpp, own / f"{cpp.name}.o", includes, ours=True), *shared]
+        for path in sorted(path for path in parts if path.suffix in SOURCES):
+            target = own / "parts" / f"{path.relative_to(sketch)}.o"
+            objects.append(board.compile(path, target, includes, ours=True))
+        for each in used:
+            for path in sorted(each.rglob("*.c*")):
+                target = own / each.parent.name / f"{path.relative_to(each)}.o"
+                objects.append(board.compile(path, target, used, ours=False))
         image = folder / f"{sketch.name}.elf"
         board.link(objects, archive, image)
         images.append(image)

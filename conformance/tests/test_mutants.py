@@ -276,7 +276,8 @@ def test_a_number_of_jobs_is_at_least_1(count, capsys):
 
 
 @pytest.mark.parametrize(
-    "words", [["--sample", "3"], *(["--dimensions", f"--{w}"] for w in ("write", "record", "changed"))]
+    "words",
+    [["--sample", "3"], *(["--dimensions", f"--{w}"] for w in ("write", "record", "changed"))],
 )
 def test_options_that_say_nothing_together_are_refused(words, monkeypatch, capsys):
     monkeypatch.setattr(kill, "_judge_all", lambda *_: pytest.fail("judges"))

@@ -292,8 +292,10 @@ def test_all_files_of_a_sketch_are_built(variant, tmp_path):
     (folder / "src/deep").mkdir(parents=True)
     (folder / "twice.ino").write_text("int twice(int a) { return 2 * a; }\n")
     (folder / "numbers.h").write_text("#include <Wire.h>\nint thrice(int a);\nextern int four;\n")
-    (folder / "thrice.cpp").write_text('#include "numbers.h"\nint thrice(int a) { return 3 * a; }\n')
-    (folder / "src/deep/four.c").write_text("int four = 4;\n")
+    (folder / "thrice.cpp").write_text(
+        '#include "numbers.h"\nint thrice(int a) { return 3 * a; }\n'
+    )
+    (folder / "src/deep/thrice.c").write_text("int four = 4;\n")
     (folder / "Tabs.ino").write_text(
         '#include <J2A.h>\n#include "numbers.h"\nint twice(int a);\n'
         "int sum(int a) { return twice(a) + thrice(a) + four + Wire.available(); }\n"

@@ -76,7 +76,8 @@ def test_the_example(start):
     (millivolts,) = transducers["light"].wait(10).values
     assert abs(millivolts - 2500) < 10
     with transducers["distance"].samples() as samples:
-        for mm, volts in ((300, 1.99), (600, 1.04), (1100, 0.60), (1500, 0.45)):  # of the data sheet
+        # Of the data sheet.
+        for mm, volts in ((300, 1.99), (600, 1.04), (1100, 0.60), (1500, 0.45)):
             sim.adc.set_volts(1, volts)
             transducers["distance"].trigger()
             (millimeters,) = samples.wait(10).values
@@ -167,7 +168,9 @@ class TestWrongLists:
     def test_the_right_one_does(self, build):
         assert build("Right", SKETCH.format(list=ONE))[1] == ""
 
-    @pytest.mark.parametrize(("opcode", "said"), [(1, "f: its opcode is the id of a sensor"), (2, "")])
+    @pytest.mark.parametrize(
+        ("opcode", "said"), [(1, "f: its opcode is the id of a sensor"), (2, "")]
+    )
     def test_sif_with_the_opcode_of_samples(self, build, opcode, said):
         listed = f"{ONE} ACTUATOR(b, 2, b, X, 1, bool, 0)"
         sketch = SKETCH.format(list=listed).replace(
