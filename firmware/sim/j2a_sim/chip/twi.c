@@ -5,6 +5,8 @@
 
 enum { MEASURES_MS = 65, REVISION = 6, UNUSED = 0x80, SHORTEST_CM = 16 };
 enum { REAL_CM = 0x51, REAL_US = 0x52, US_PER_CM = 58 };
+/* Of TWSR, as the data sheet numbers them. */
+enum { TWI_MTX_ADR_ACK = 0x18, TWI_MTX_ADR_NACK = 0x20, TWI_MTX_DATA_ACK = 0x28, TWI_MTX_DATA_NACK = 0x30 };
 
 static int is_busy(twi_t *t, srf02_t *s)
 {
@@ -53,6 +55,7 @@ static void on_output(struct avr_irq_t *irq, uint32_t value, void *param)
     uint8_t what = message.u.twi.msg, address = message.u.twi.addr, data = message.u.twi.data;
     srf02_t *s = &t->sensors[address >> 1];
     (void)irq;
+    t->is_address = (what & TWI_COND_START) != 0;
     if (what & TWI_COND_STOP || s->kind == TWI_ABSENT || is_busy(t, s))
         return;
     if (what & TWI_COND_START) {
@@ -71,19 +74,39 @@ static void on_output(struct avr_irq_t *irq, uint32_t value, void *param)
     }
 }
 
-/* Wraps simavr's own. Nothing that begins on a bus that hangs ends: TWINT never comes. */
+static void on_status(struct avr_irq_t *irq, uint32_t value, void *param)
+{
+    twi_t *t = param;
+    (void)irq;
+    (void)value;
+    t->is_done = 1;
+}
+
+/* What simavr says of data, for the address that was written. */
+static uint8_t of_address(uint8_t state)
+{
+    return state == TWI_MTX_DATA_ACK ? TWI_MTX_ADR_ACK : state == TWI_MTX_DATA_NACK ? TWI_MTX_ADR_NACK : state;
+}
+
+/* Wraps simavr's own, which tells of an address as of data, and lets TWINT stand until a step ends, so that who polls it
+ * sees the step before. Nothing that begins on a bus that hangs ends: TWINT never comes. */
 static void control_write(avr_t *avr, avr_io_addr_t reg, uint8_t value, void *param)
 {
     twi_t *t = param;
-    if (!t->stuck || !(value >> t->port->twen.bit & t->port->twen.mask)) {
-        t->write(avr, reg, value, t->param);
-        return;
-    }
     avr_regbit_t flag = t->port->twi.raised;
-    uint8_t left = avr->data[reg] & (flag.mask << flag.bit) & ~value; /* writing 1 clears it */
-    avr->data[reg] = (value & ~(flag.mask << flag.bit)) | left;
-    if (!left)
+    uint8_t mask = flag.mask << flag.bit, begins = value & mask; /* writing 1 clears it */
+    int is_on = value >> t->port->twen.bit & t->port->twen.mask;
+    t->is_done = t->is_address = 0;
+    if (t->stuck && is_on)
+        avr->data[reg] = (value & ~mask) | (avr->data[reg] & mask);
+    else
+        t->write(avr, reg, value, t->param);
+    if (t->is_address)
+        t->port->next_twstate = of_address(t->port->next_twstate);
+    if (begins && is_on && !t->is_done) {
+        avr->data[reg] &= ~mask;
         avr_clear_interrupt(avr, &t->port->twi);
+    }
 }
 
 void twi_attach(twi_t *t, avr_t *avr)
@@ -99,4 +122,5 @@ void twi_attach(twi_t *t, avr_t *avr)
     avr->io[AVR_DATA_TO_IO(t->port->r_twcr)].w.c = control_write;
     avr->io[AVR_DATA_TO_IO(t->port->r_twcr)].w.param = t;
     avr_irq_register_notify(t->port->io.irq + TWI_IRQ_OUTPUT, on_output, t);
+    avr_irq_register_notify(t->port->io.irq + TWI_IRQ_STATUS, on_status, t);
 }

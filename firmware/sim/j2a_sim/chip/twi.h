@@ -31,6 +31,8 @@ typedef struct {
     avr_io_write_t write;
     void *param;
     uint8_t stuck;
+    uint8_t is_address; /* the byte of this step is one */
+    uint8_t is_done;    /* the step has ended at once */
     srf02_t sensors[TWI_ADDRESSES];
 } twi_t;
 
