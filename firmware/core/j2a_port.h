@@ -2,8 +2,8 @@
  * Bytes of the link flow in through j2a_port_rx() (or are pushed with j2a_rx_byte()) and flow out
  * through j2a_port_tx(). Rules: the core calls these only from j2a_poll(), j2a_process() and
  * j2a_send_sif(), so from the one context in which the application calls those, which also calls the rest of
- * them; j2a_port_ticks() from j2a_rx_byte(), too; and j2a_port_time_us() also where a driver gives a value, which may be an
- * interrupt. */
+ * them; j2a_port_ticks() from j2a_rx_byte(), too, and with J2A_WITH_SYNC j2a_port_time_us(); and that one also where a
+ * driver gives a value, which may be an interrupt. */
 #ifndef J2A_PORT_H
 #define J2A_PORT_H
 

@@ -1,5 +1,6 @@
 /* The push parser. Bytes of the link flow in one by one; out comes an event: a frame whose
- * checksum is right, or the code of an error to be sent. Rules: it never waits and sends nothing.
+ * checksum is right, or the code of an error to be sent. Rules: it never waits and sends nothing, and j2a_rx_parse()
+ * does not look at the clock, which is not set up yet when the self-test calls it.
  * A raw marker always ends the frame in work; a raw SOF always starts a new one. Bytes outside a
  * frame are skipped. An error is only reported when the frame's seq was received. */
 #include "j2a_internal.h"
@@ -29,9 +30,6 @@ static void field(j2a_rx_t *rx, uint8_t state, uint8_t byte) {
             abandon(IDLE, J2A_ERR_CHECKSUM, J2A_SITE_CHECKSUM);
         } else {
             rx->state = IDLE;
-#if J2A_WITH_SYNC
-            j2a_received_us = j2a_port_time_us();
-#endif
             rx->event = J2A_EVENT_FRAME;
         }
         return;
@@ -107,6 +105,10 @@ bool j2a_rx_byte(uint8_t byte) {
     if (rx->event != J2A_EVENT_NONE)
         return false;
     j2a_rx_parse(byte);
+#if J2A_WITH_SYNC
+    if (rx->event == J2A_EVENT_FRAME)
+        j2a_received_us = j2a_port_time_us();
+#endif
     rx->last_ticks = j2a_port_ticks();
     return true;
 }

@@ -25,6 +25,10 @@ void j2a_poll(void) {
 #endif
     for (; left != 0 && rx->event == J2A_EVENT_NONE && (byte = j2a_port_rx()) >= 0; left--)
         j2a_rx_parse((uint8_t)byte);
+#if J2A_WITH_SYNC
+    if (rx->event == J2A_EVENT_FRAME && left != MAX_BYTES_PER_POLL)
+        j2a_received_us = j2a_port_time_us();
+#endif
     if (left != MAX_BYTES_PER_POLL)
         rx->last_ticks = j2a_port_ticks(); /* anew, because taking the bytes took its time */
     else if (rx->event == J2A_EVENT_NONE && (uint16_t)(now_ticks - rx->last_ticks) >= PAUSE_TICKS)

@@ -7,6 +7,8 @@ in reset, as that of an RP2040, would stop there.
 import subprocess
 from pathlib import Path
 
+import pytest
+
 FIRMWARE = Path(__file__).parents[1]
 APP = FIRMWARE / "apps/builtins"
 # A port of a board: what it does before board_init() is told.
@@ -41,7 +43,8 @@ int main(void) {
 """
 
 
-def test_the_selftest_calls_nothing_of_a_board(need, tmp_path: Path) -> None:
+@pytest.mark.parametrize("sync", [0, 1])
+def test_the_selftest_calls_nothing_of_a_board(need, sync: int, tmp_path: Path) -> None:
     need("gcc")
     source, program = tmp_path / "board.c", tmp_path / "board"
     source.write_text(BOARD)
@@ -49,7 +52,7 @@ def test_the_selftest_calls_nothing_of_a_board(need, tmp_path: Path) -> None:
     subprocess.run(
         ["gcc", "-std=c99", "-O1", "-Wall", "-Wextra", "-Wno-overlength-strings", "-Werror",
          f"-I{core}", f"-I{common}", f"-I{FIRMWARE / 'tests/naive'}", f"-I{APP}",
-         "-DJ2A_WITH_SELFTEST=1", *sorted(core.rglob("*.c")), common / "board_port.c", source,
+         "-DJ2A_WITH_SELFTEST=1", f"-DJ2A_WITH_SYNC={sync}", *sorted(core.rglob("*.c")), common / "board_port.c", source,
          "-o", program],
         check=True,
     )  # fmt: skip
