@@ -23,6 +23,7 @@
 #define J2A_SAYS_disabled_enabled ~, J2A_ADD_DISABLED
 #define J2A_ADD_DISABLED(number) + !(number)
 #define J2A_SAYS_queue_queue ~, J2A_ADD
+#define J2A_SAYS_queued_queue ~, J2A_ADD_ONE
 #define J2A_SAYS_decimation_decimation ~, J2A_ADD
 #define J2A_SAYS_threshold_threshold ~, J2A_ADD_ONE
 #define J2A_SAYS_range_range ~, J2A_ADD_ONE
@@ -183,7 +184,10 @@ enum {
         threshold_range_and_na_of_##name##_need_a_number_or_an_enumeration = 1 / \
             (J2A_OF_ORDER(J2A_HAS_RAW, J2A_ORDER(type)) || (sizeof #na == sizeof "none" && \
             (0 J2A_SAY(threshold, __VA_ARGS__)) == 0 && (0 J2A_SAY(range, __VA_ARGS__)) == 0)), \
-        queue_of_##name##_is_1_to_255 = 1 / (j2a_depth_of_##name >= 0 && j2a_depth_of_##name <= 255), \
+        queue_of_##name##_is_1_to_255 = 1 / \
+            (j2a_depth_of_##name >= (0 J2A_SAY(queued, __VA_ARGS__)) && j2a_depth_of_##name <= 255), \
+        topic_of_##name##_is_longer_than_32_bytes = 1 / \
+            (sizeof("" J2A_SAY(topictext, __VA_ARGS__)) <= J2A_TRANSD_MAX_TOPIC + 1), \
         a_sample_of_##name##_is_longer_than_a_frame = 1 / (j2a_most_of_##name >= 1 && \
             j2a_longest_of_##name <= (int)J2A_SAMPLE_ROOM && \
             (j2a_depth_of_##name != 0 || j2a_longest_of_##name <= J2A_ROOM)) \
@@ -222,6 +226,7 @@ enum {
                      j2a_bytes_of_##name); \
     }
 #define J2A_KEPT_ACTUATOR(name, prefix, channels, type, ...) \
+    enum { queue_of_##name##_which_is_no_sensor = 1 / (j2a_depth_of_##name == 0) }; \
     static j2a_due j2a_waiting_of_##name[channels]; \
     static uint8_t j2a_values_of_##name[(channels) * j2a_bytes_of_##name]; \
     static j2a_watchdog j2a_watchdog_of_##name = {0 J2A_SAY(watchdog, __VA_ARGS__), false}; \

@@ -231,6 +231,16 @@ class TestWrongLists:
             (ONE.replace("X, 1", "X, 0"), "channels_of_a_are_1_to_255"),
             (ONE.replace("X, 1", "X, 29"), "a_sample_of_a_is_longer_than_a_frame"),
             (ONE.replace("none{more}", "none, (queue, 256)"), "queue_of_a_is_1_to_255"),
+            (ONE.replace("none{more}", "none, (queue, 0)"), "queue_of_a_is_1_to_255"),
+            (
+                ONE.replace("SENSOR", "ACTUATOR").replace("none{more}", "none, (queue, 1)"),
+                "queue_of_a_which_is_no_sensor",
+            ),
+            # One byte too long is what C takes, without the NUL at its end.
+            (
+                ONE.replace("none{more}", f"none, (topic, {'t' * 33})"),
+                "topic_of_a_is_longer_than_32_bytes",
+            ),
             (ONE * 2, "j2a_index_a"),
             (ONE + ONE.replace("(a, 1, a", "(b, 1, b"), "duplicate case value"),
             (ONE.replace("u8", "u7"), "u7"),
@@ -256,8 +266,19 @@ class TestWrongLists:
         assert done.returncode != 0
         assert said in done.stderr.replace("\u2018", "'").replace("\u2019", "'")
 
-    def test_the_right_one_does(self, need, tmp_path):
+    @pytest.mark.parametrize("more", ["", ", (queue, 1)", f", (topic, {'t' * 32})"])
+    def test_the_right_one_does(self, need, tmp_path, more):
         need("cc")
-        folder = write_app(tmp_path / "app", ONE.replace("{more}", ""), CODE, "")
+        folder = write_app(tmp_path / "app", ONE.replace("{more}", more), CODE, "")
         done = self.compiled(folder, tmp_path / "out")
         assert done.returncode == 0, done.stderr
+
+
+def test_a_build_without_clock_says_what_is_missing(need, tmp_path):
+    need("cc")
+    folder = write_app(tmp_path / "app", ONE.replace("{more}", ""), CODE, "")
+    out = tmp_path / "out"
+    engine = out / "app.obj/j2a_transducers.o"
+    done = make(folder, out, engine, PORT="posix", OPTIONS="-DJ2A_WITH_CLOCK=0")
+    assert done.returncode != 0
+    assert "J2A_WITH_TRANSDUCERS=1 needs J2A_WITH_CLOCK=1" in done.stderr

@@ -7,6 +7,10 @@
 
 #if J2A_WITH_TRANSDUCERS
 
+#if !J2A_WITH_CLOCK
+#error "J2A_WITH_TRANSDUCERS=1 needs J2A_WITH_CLOCK=1, the time of values"
+#endif
+
 /* Copies of a channel until one has met no value in between; then the next turn tries again. */
 enum { COPIES = 16 };
 
