@@ -614,6 +614,7 @@ template <class T> struct memory {
 };
 template <class T, unsigned long n> struct memory<T[n]> {
     static_assert(n <= 65535, "J2A_BUFFER: an array has at most 65535 elements");
+    static_assert(*scalar<T>::element() != 'b', "J2A_BUFFER: no bool, because a host may write any byte; take uint8_t");
     static constexpr unsigned names = 0;
     static constexpr bool has_result = true;
     static constexpr line<0> with(const char *name, const char *text) {

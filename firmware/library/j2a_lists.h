@@ -271,7 +271,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_KEYS_OF_J2A_PROPERTY(key, value) key,
 #define J2A_KEYS_OF_
 #define J2A_CHECK_KEYS_(...) \
-    static constexpr const char *j2a_keys[] = {"j2a.spec", "j2a.caps", "j2a.interface", \
+    static constexpr const char *j2a_keys[] = {"j2a.spec", "j2a.room", "j2a.caps", "j2a.interface", "j2a.selftest", \
                                                J2A_EACH_(J2A_KEYS_OF, __VA_ARGS__) ""}; \
     static_assert(!j2a::is_a_key_twice(j2a_keys, 0), "J2A_PROPERTIES: a key comes twice, or is one of J2A's own");
 #else

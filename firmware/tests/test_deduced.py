@@ -295,6 +295,7 @@ MISTAKES = [
     ("int f() { return 0; }", 'J2A_FUNCTION(f, ""), J2A_FUNCTION(f, "")', "j2a_name_f"),
     ("int f;", 'J2A_BUFFER(f, "Doc.")', "this is no array"),
     ("void *f[2];", 'J2A_BUFFER(f, "Doc.")', "J2A cannot send this type"),
+    ("bool f[2];", 'J2A_BUFFER(f, "Doc.")', "J2A_BUFFER: no bool"),
     ("int f;", 'J2A_SIF(f, "Doc.")', "this is no j2a::sif"),
     ("j2a::sif<1, int> f;", 'J2A_SIF(f, "Doc.")', "f: as many names as parameters"),
     ("j2a::sif<1> f, g;", 'J2A_SIF(f, ""), J2A_SIF(g, "")', "duplicate case value"),
@@ -353,6 +354,8 @@ def test_text_may_have_499_bytes(two_files, tmp_path, need, compiler):
         'J2A_PROPERTY("a", "1"), J2A_PROPERTY("b", "2"), J2A_PROPERTY("b", "3")',
         'J2A_PROPERTY("j2a.spec", "1.1")',
         'J2A_PROPERTY("a", "1"), J2A_PROPERTY("j2a.interface", "0")',
+        'J2A_PROPERTY("j2a.room", "128"), J2A_PROPERTY("a", "1")',
+        'J2A_PROPERTY("j2a.selftest", "ok")',
     ],
 )
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
