@@ -54,6 +54,12 @@ def test_the_interrupt_counts_and_the_function_tells(board):
     assert counted < 600_000 * (time.monotonic() - began_s)
 
 
+def test_a_smaller_room_is_told_once(build_firmware):
+    small = build_firmware("flow", APP_DIR=FLOW, ROOM=128)
+    with j2a.connect(f"exec:{shlex.quote(str(small))}", timeout=LIMIT_S) as board:
+        assert board.properties["j2a.room"] == "128"
+
+
 def test_an_alarm_comes_once_from_the_main_loop(board):
     seen, came = [], threading.Event()
 

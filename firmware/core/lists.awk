@@ -528,6 +528,8 @@ END {
         number = first_line
         if (known && is_properties && count != 2)
             wrong("J2A_PROPERTY takes a key and a value, each in quotes")
+        if (known && is_properties && argument[1] ~ /^"j2a\.(room|interface|selftest)"$/)
+            wrong(argument[1] " is there already: the core has this property where it belongs")
         if (known && !is_properties)
             check(macro, count)
         number = last_line
