@@ -265,7 +265,10 @@ def test_typed_lists_without_a_slip_are_taken(tmp_path, functions):
         ('J2A_PROPERTI("a", "b")\n', "properties.def:1: J2A_PROPERTI is not J2A_PROPERTY"),
         ('J2A_PROPERTY("a")\n', "properties.def:1: J2A_PROPERTY takes a key and a value"),
         ('J2A_PROPERTY("a", "b", "c")\n', "properties.def:1: J2A_PROPERTY takes a key and a value"),
-        (NAME + 'J2A_PROPERTY("j2a.room", "128")\n', 'properties.def:2: "j2a.room" is there already'),
+        (
+            NAME + 'J2A_PROPERTY("j2a.room", "128")\n',
+            'properties.def:2: "j2a.room" is there already',
+        ),
         ('J2A_PROPERTY("j2a.selftest", "ok")\n', '"j2a.selftest" is there already'),
         (SPEC + 'J2A_PROPERTY("a", "b)\n', "properties.def:2: a string has no end"),
         (SPEC + 'J2A_PROPERTY("a", "b"\n', 'properties.def:2: a ")" is missing'),
