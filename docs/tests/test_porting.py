@@ -257,6 +257,33 @@ def test_several_links_need_the_interrupt(need, make, tmp_path):
     assert result.returncode == 0, result.stderr
 
 
+def test_what_a_link_costs(need, build_firmware):
+    """Beside the room and the ring, at the most and at the least."""
+    need("arm-none-eabi-nm")
+
+    def data(links, rxbuf, options):
+        elf = build_firmware(
+            "builtins",
+            port="cortex-m",
+            core_as_one=False,
+            LINKS=links,
+            RXBUF=rxbuf,
+            OPTIONS=options,
+        )
+        said = subprocess.run(
+            ["arm-none-eabi-nm", "-S", elf], capture_output=True, text=True, check=True
+        ).stdout
+        kept = re.findall(r"^\w+ (\w+) [bBdD] (?:j2a_rx_of|rings)$", said, re.MULTILINE)
+        assert len(kept) == 2
+        return sum(int(size, 16) for size in kept)
+
+    cost = [
+        data(2, rxbuf, options) - data(1, rxbuf, options) - 255 - rxbuf
+        for rxbuf, options in ((32, ""), (520, "-DJ2A_WITH_INTERFACE=1 -DJ2A_WITH_BOOT=1"))
+    ]
+    assert f"the ring and {cost[0]} to {cost[1]} bytes of RAM there" in PAGE
+
+
 def test_a_finer_clock_needs_a_tenth_function(need, make, tmp_path):
     need("cc")
     port = filled(tmp_path / "port", 0)

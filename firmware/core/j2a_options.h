@@ -118,8 +118,8 @@
 #define J2A_SELFTEST_SMALL 0
 #endif
 
-/* Links that the device serves at once, 1..255: J2A_ROOM, about 13 bytes and what the port holds, of RAM, each; see j2a_link in
- * j2a_port.h. A port must be made for it, such as those with ports/common/board.h. */
+/* Links that the device serves at once, 1..255. Each takes J2A_ROOM, 9 to 13 bytes and what the port holds of RAM; see
+ * j2a_link in j2a_port.h. A port must be made for it, such as those with ports/common/board.h. */
 #ifndef J2A_LINKS
 #define J2A_LINKS 1
 #endif
