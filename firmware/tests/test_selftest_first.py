@@ -52,8 +52,8 @@ def test_the_selftest_calls_nothing_of_a_board(need, sync: int, tmp_path: Path) 
     subprocess.run(
         ["gcc", "-std=c99", "-O1", "-Wall", "-Wextra", "-Wno-overlength-strings", "-Werror",
          f"-I{core}", f"-I{common}", f"-I{FIRMWARE / 'tests/naive'}", f"-I{APP}",
-         "-DJ2A_WITH_SELFTEST=1", f"-DJ2A_WITH_SYNC={sync}", *sorted(core.rglob("*.c")), common / "board_port.c", source,
-         "-o", program],
+         "-DJ2A_WITH_SELFTEST=1", f"-DJ2A_WITH_SYNC={sync}", *sorted(core.rglob("*.c")),
+         common / "board_port.c", source, "-o", program],
         check=True,
     )  # fmt: skip
     done = subprocess.run([program], capture_output=True, text=True, check=True)
