@@ -8,6 +8,7 @@ is wrong, so that the fast way needs no checks of its own.
 
 import contextlib
 import dataclasses
+import functools
 import keyword
 import struct
 from collections import namedtuple
@@ -82,11 +83,7 @@ class PythonTypes:
         """Return the IntEnum of an enumeration."""
         made = self._enums.get(enumeration)
         if made is None:
-            names = python_names([name for name, _ in enumeration.values])
-            members = zip(names, (number for _, number in enumeration.values), strict=True)
-            made = _make_enum(enumeration.name, list(members))
-            setattr(made, _ON_WIRE, _on_wire([name for name, _ in enumeration.values]))
-            self._enums[enumeration] = made
+            made = self._enums[enumeration] = _enum_class(enumeration.name, enumeration.values)
         return made
 
     def structure(self, structure: Structure) -> type[Any]:
@@ -247,6 +244,28 @@ class Codec:
             return data.decode()
         except UnicodeDecodeError as error:
             raise PayloadMismatchError(f"{field.name} is not UTF-8: {error}") from None
+
+
+def _enum_class(name: str, values: tuple[tuple[str, int], ...]) -> type[IntEnum]:
+    """Return an IntEnum; its members can be pickled, though no module has it."""
+
+    def reduce(member: IntEnum, _protocol: object) -> Any:
+        return _unpickled_member, (name, values, int(member))
+
+    names = [one for one, _ in values]
+    numbers = (number for _, number in values)
+    made = _make_enum(name, list(zip(python_names(names), numbers, strict=True)))
+    setattr(made, _ON_WIRE, _on_wire(names))
+    made.__reduce_ex__ = reduce  # type: ignore[assignment, method-assign]
+    return made
+
+
+# Samples come many at a time: their members are of one class, which is made once.
+_enum_class_of_pickles = functools.lru_cache(maxsize=64)(_enum_class)
+
+
+def _unpickled_member(name: str, values: tuple[tuple[str, int], ...], number: int) -> IntEnum:
+    return _enum_class_of_pickles(name, values)(number)
 
 
 def tuple_class(name: str, fields: Sequence[Field]) -> type[Any]:

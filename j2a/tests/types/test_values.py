@@ -1,6 +1,8 @@
 """Values and payloads: the library packs what the oracle packs, and takes back what it gave."""
 
+import copy
 import keyword
+import pickle
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from j2a_spec import interface as oracle
 
 from j2a.errors import WrongArgument
-from j2a.types.coding import Codec, PayloadMismatchError, PythonTypes, python_names
+from j2a.types.coding import Codec, PayloadMismatchError, PythonTypes, name_on_wire, python_names
 from j2a.types.descriptors import parse_descriptors
 from j2a.types.model import Field, Interface, Signature
 from j2a.types.parser import parse_interface, parse_signature
@@ -262,3 +264,35 @@ def test_the_limits_are_admitted():
 
 def test_a_field_is_shown_with_its_type():
     assert str(Field("a", parse_signature("(a u16[3] mV)").parameters[0].type)) == "a u16[3] mV"
+
+
+def copies(value):
+    """Copies of a value by each way that Python has."""
+    yield copy.copy(value)
+    yield copy.deepcopy(value)
+    for protocol in range(pickle.HIGHEST_PROTOCOL + 1):
+        yield pickle.loads(pickle.dumps(value, protocol))
+
+
+def test_values_of_enumerations_can_be_copied_and_pickled():
+    [member] = codec("(m mode)").unpack(b"\x01")
+    for twin in copies(member):
+        assert (twin, twin.name, str(twin)) == (member, "class_", str(member))
+        assert repr(twin) == repr(member)
+        assert name_on_wire(type(twin), "class_") == "class"
+        assert repr(pickle.loads(pickle.dumps(twin))) == repr(member)
+
+
+def test_values_of_structures_with_enumerations_can_be_copied_and_pickled():
+    payload = struct.pack("<4fB", 1, 2, 3, 4, 9)
+    values = codec("(line line)").unpack(payload)
+    for twin in copies(values):
+        assert twin == values
+        assert repr(twin) == repr(values)
+        assert codec("(line line)").pack(twin) == payload
+
+
+def test_pickled_values_of_one_enumeration_have_one_class():
+    values = codec("(m mode[2])").unpack(b"\x01\x01")[0]
+    first, second = (pickle.loads(pickle.dumps(one)) for one in values)
+    assert first is second
