@@ -18,6 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from j2a_spec.plural import counted
+
 from j2a import LocalError
 from j2a.cli.plugin import FAILED, OK, CommandFailed, UsageError, note, open_help, seconds, show
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config, load_config
@@ -195,7 +197,8 @@ async def run_bridge(
     await bridge.run(tell)
     for runner in bridge.runners if on_open is None else ():
         status = runner.status
-        note(f"j2a: {status.name}: {status.published} samples, {status.dropped} dropped")
+        samples = counted(status.published, "sample")
+        note(f"j2a: {status.name}: {samples}, {status.dropped} dropped")
     failed = [runner for runner in bridge.runners if runner.problem]
     if failed:
         # The log has the reason already.

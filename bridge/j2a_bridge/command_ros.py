@@ -11,6 +11,8 @@ import argparse
 from pathlib import Path
 from typing import Final
 
+from j2a_spec.plural import counted
+
 from j2a.cli.plugin import (
     OK,
     CommandFailed,
@@ -73,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     for path in outdated:
         path.unlink()
     kinds = sum(name.endswith(".msg") for name in files)
-    show(f"wrote {args.folder}: package {PACKAGE} with {kinds} messages")
+    show(f"wrote {args.folder}: package {PACKAGE} with {counted(kinds, 'message')}")
     return OK
 
 

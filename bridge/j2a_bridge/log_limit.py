@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from j2a_spec.plural import counted
+
 __all__ = ["LogLimit"]
 
 MOST: Final = 10
@@ -40,5 +42,6 @@ class LogLimit(logging.Filter):
             return count < MOST
         self._kinds[kind] = now, 1
         if count > MOST:
-            record.msg = f"{kind} ({count - MOST} more like it were left out)"
+            more = counted(count - MOST, "more like it was", "more like it were")
+            record.msg = f"{kind} ({more} left out)"
         return True

@@ -57,5 +57,6 @@ def test_the_number_of_those_left_out_is_told_when_there_were_any(count):
     late = record("%s is gone", "a board")
     assert limit.filter(late)
     left_out = count - MOST
-    more = f" ({left_out} more like it were left out)" if left_out > 0 else ""
+    was = "was" if left_out == 1 else "were"
+    more = f" ({left_out} more like it {was} left out)" if left_out > 0 else ""
     assert late.getMessage() == f"a board is gone{more}"

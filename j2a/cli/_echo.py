@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from j2a_spec.constants import ECHO, ESC, GET_ECHO, MAX_PAYLOAD, SOF, SOS
+from j2a_spec.plural import counted
 
 import j2a
 from j2a.cli._exit import FAILED, INTERRUPTED, OK, UsageError, exit_code
@@ -226,7 +227,7 @@ def report(result: Result) -> Iterator[str]:
     if result.sent < result.wanted:
         yield f"  {result.wanted - result.sent} of {result.wanted} were not sent"
     rate = size_text(result.size / result.took_s)
-    yield f"{result.size} bytes each way in {result.took_s:.2f} s, {rate}/s"
+    yield f"{counted(result.size, 'byte')} each way in {result.took_s:.2f} s, {rate}/s"
     if result.round_trips_s:
         ms = round_trips(result.round_trips_s).items()
         yield "round trip " + ", ".join(f"{name} {1000 * t:.2f}" for name, t in ms) + " ms"

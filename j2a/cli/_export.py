@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
+from j2a_spec.plural import counted
+
 import j2a
 from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError
 from j2a.cli._output import note, show
@@ -84,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             raise CommandFailed(f"cannot write the tables: {error.strerror}", FAILED) from None
     for table in tables.values():
-        show(f"wrote {table.path}: {table.rows} {'row' if table.rows == 1 else 'rows'}")
+        show(f"wrote {table.path}: {counted(table.rows, 'row')}")
     if not tables and not problems:
         note(f"j2a: {args.file} has no samples")
     if problems:

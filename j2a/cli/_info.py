@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from j2a_spec.constants import CLOCK, PROP_RXBUF, PROP_SPEC
+from j2a_spec.plural import counted
 from j2a_spec.printable import printable
 
 import j2a
@@ -171,8 +172,9 @@ def _print_head(facts: dict[str, object], says_spec: bool) -> None:
     rxbuf = facts["rxbuf"]
     show(f"name      {facts['name'] or '(has none)'}")
     show(f"spec      {facts['spec']}{assumed}")
-    show(f"rxbuf     {f'{rxbuf} bytes' if rxbuf else '(does not say; one request at a time)'}")
-    show(f"room      {facts['room']} bytes of payload in a request")
+    says = counted(rxbuf, "byte") if rxbuf else "(does not say; one request at a time)"
+    show(f"rxbuf     {says}")
+    show(f"room      {counted(facts['room'], 'byte')} of payload in a request")
 
 
 def _number(text: str) -> int | None:

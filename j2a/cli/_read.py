@@ -10,6 +10,8 @@ import argparse
 import time
 from pathlib import Path
 
+from j2a_spec.plural import counted
+
 from j2a.cli._exit import OK, UsageError
 from j2a.cli._link import (
     add_link_arguments,
@@ -65,5 +67,6 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise UsageError(f"cannot write to {args.output!r}: {error.strerror}") from None
     rate = size_text(len(data) / took_s)
-    note(f"{len(data)} bytes read to {args.output} in {took_s:.2f} s ({rate}/s)")
+    size = counted(len(data), "byte")
+    note(f"{size} read to {args.output} in {took_s:.2f} s ({rate}/s)")
     return OK

@@ -17,6 +17,8 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
+from j2a_spec.plural import counted
+
 import j2a
 from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_signals
 from j2a.cli._heartbeat import Pulse
@@ -371,7 +373,7 @@ def _wait(
             return LINK
         recorder = session.recorder
         lost = _lost(session, boards)
-        more = f"{recorder.samples} samples  {size_text(recorder.size)}  {lost} lost"
+        more = f"{counted(recorder.samples, 'sample')}  {size_text(recorder.size)}  {lost} lost"
         progress(time.monotonic() - start, seconds, more)
 
 
@@ -397,12 +399,15 @@ def _finish(session: _Session, boards: list[_Board]) -> None:
         why = failure.strerror or failure
         raise CommandFailed(f"{why}: what was written before is in {paths}", FAILED)
     gaps, gap_s = (sum(getattr(board, key) for board in boards) for key in ("gaps", "gap_s"))
-    more = f", and a board was away {gaps} time{'s' * (gaps > 1)}, {gap_s:.1f} s" if gaps else ""
+    more = f", and a board was away {counted(gaps, 'time')}, {gap_s:.1f} s" if gaps else ""
     lost = _lost(session, boards)
-    show(f"wrote {paths}: {recorder.samples} samples, {lost} lost on the way{more}")
+    samples = counted(recorder.samples, "sample")
+    show(f"wrote {paths}: {samples}, {lost} lost on the way{more}")
     if session.refused:
-        note(f"j2a: {session.refused} samples were left out: their times fit into no message")
+        fit = "sample was left out: its time fits", "samples were left out: their times fit"
+        note(f"j2a: {counted(session.refused, *fit)} into no message")
     if dropped := sum(board.dropped for board in boards):
-        note(f"j2a: {dropped} SIFs were left out: this computer is too slow for all of them")
+        sifs = counted(dropped, "SIF was", "SIFs were")
+        note(f"j2a: {sifs} left out: this computer is too slow for all of them")
     for what in sorted(session.told):
         note(f"j2a: {what}")

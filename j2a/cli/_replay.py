@@ -13,6 +13,7 @@ import time
 from typing import Final
 
 import j2a_transports
+from j2a_spec.plural import counted
 
 from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError, end_on_signals
 from j2a.cli._link import add_listen_argument, check_listen_url, positive_number, takes_stdio
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         time.sleep(_DELIVER_S)  # what was sent last is still on its way
         if not board.is_whole:
             note(f"j2a: {args.file} is incomplete: its writer did not close it")
-        tell(f"replayed {count} samples")
+        tell(f"replayed {counted(count, 'sample')}")
     if board.problem:
         raise CommandFailed(board.problem, FAILED)
     return OK

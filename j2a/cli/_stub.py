@@ -12,6 +12,8 @@ import zlib
 from pathlib import Path
 from typing import Final
 
+from j2a_spec.plural import counted
+
 from j2a.cli._exit import OK, UsageError
 from j2a.cli._info import interface_facts
 from j2a.cli._link import (
@@ -77,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise UsageError(f"cannot write {args.output}: {error.strerror}") from None
     described = sum(line.signature is not None for line in interface.functions)
-    show(f"wrote {args.output}: {described} functions of the interface {digest}")
+    functions = counted(described, "function")
+    show(f"wrote {args.output}: {functions} of the interface {digest}")
     return OK
 
 

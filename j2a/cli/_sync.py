@@ -11,6 +11,8 @@ import argparse
 from pathlib import Path
 from typing import Final
 
+from j2a_spec.plural import counted
+
 from j2a.cli._exit import LINK, OK, CommandFailed, UsageError
 from j2a.cli._link import (
     add_json_argument,
@@ -118,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
             rounds = {board: len(those) for board, those in boards.items()}
             show_json({"file": str(args.output), "rounds": rounds})
         else:
-            show(f"wrote {args.output}: {count} rounds, buses and boards: {len(boards)}")
+            show(f"wrote {args.output}: {counted(count, 'round')}, buses and boards: {len(boards)}")
         return OK
     status = _ask({"command": "status"})
     if args.json:

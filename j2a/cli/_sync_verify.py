@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import unquote
 
+from j2a_spec.plural import counted
+
 import j2a
 from j2a.cli._exit import FAILED, OK, TIMEOUT, CommandFailed, UsageError, end_on_signals
 from j2a.cli._link import connect_to
@@ -278,10 +280,12 @@ def _show(figures: Figures, args: argparse.Namespace) -> int:
         show_json(facts)
     else:
         show(
-            f"{facts['edges']} edges: median {facts['median_us']} us, rms {facts['rms_us']} us, "
-            f"peak {facts['peak_us']} us; announced {facts['bound_us']} us"
+            f"{counted(facts['edges'], 'edge')}: median {facts['median_us']} us, "
+            f"rms {facts['rms_us']} us, peak {facts['peak_us']} us; "
+            f"announced {facts['bound_us']} us"
         )
     if figures.outside:
-        note(f"j2a: {figures.outside} of {facts['edges']} edges are outside what is announced")
+        edges = counted(facts["edges"], "edge is", "edges are")
+        note(f"j2a: {figures.outside} of {edges} outside what is announced")
         return FAILED
     return OK

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final
 
+from j2a_spec.plural import counted
+
 import j2a
 from j2a.cli._exit import UsageError
 from j2a.cli._values import finite_or_said, is_payload_word, payload_of
@@ -55,7 +57,7 @@ def values_of(function: j2a.Function, words: Sequence[str]) -> list[object]:
     assert function.signature is not None
     fields = function.signature.parameters
     if len(words) != len(fields):
-        count = f"{len(fields)} value{'s' * (len(fields) != 1)}"
+        count = counted(len(fields), "value")
         raise UsageError(f"{function.name}{function.signature} takes {count}, not {len(words)}")
     return [_value(field, word) for field, word in zip(fields, words, strict=True)]
 

@@ -15,6 +15,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from j2a_spec.plural import counted
+
 from j2a.cli._exit import UsageError
 from j2a.types.coding import NUMBER_CODES
 from j2a.types.transducers import shortest_f32
@@ -199,7 +201,8 @@ class Decoder:
             else:
                 values += self._repeated(last, rest)
         except struct.error:
-            raise ValueError(f"{len(payload)} bytes cannot be read as {self._spec}") from None
+            length = counted(len(payload), "byte")
+            raise ValueError(f"{length} cannot be read as {self._spec}") from None
         repeated = [last.rstrip("*")] * (len(values) - len(kinds))
         return [
             _F32(value) if kind == "f32" else value

@@ -22,6 +22,7 @@ from datetime import datetime
 from typing import Any, NamedTuple
 
 from j2a_spec.nearest import nearest_or_all
+from j2a_spec.plural import counted
 
 import j2a
 from j2a.cli._exit import (
@@ -334,11 +335,12 @@ def _tell_end(args: argparse.Namespace, seen: int, unseen: int, left_out: int) -
     """
     why = "whoever reads the output is too slow"
     if left_out:
-        note(f"j2a: {left_out} SIFs were left out: {why}")
+        note(f"j2a: {counted(left_out, 'SIF was', 'SIFs were')} left out: {why}")
     if unseen:
-        note(f"j2a: {unseen} SIFs came in time and are not shown: {why}")
+        came = counted(unseen, "SIF came in time and is", "SIFs came in time and are")
+        note(f"j2a: {came} not shown: {why}")
     if args.count is not None and seen + unseen < args.count:
-        came = f"{seen + unseen} of {args.count} SIFs came within {args.duration:g} s"
+        came = f"{seen + unseen} of {counted(args.count, 'SIF')} came within {args.duration:g} s"
         raise CommandFailed(came, TIMEOUT)
 
 
@@ -472,6 +474,6 @@ def _print(one: _Arrived, figures: Facts | None, shapes: _Shapes, args: argparse
         show_json(facts)
         return
     if sif.missed:
-        show(f"              {sif.missed} SIF{'s' * (sif.missed > 1)} missed")
+        show(f"              {counted(sif.missed, 'SIF')} missed")
     clock = datetime.fromtimestamp(one.at_s).strftime("%H:%M:%S.%f")[:-3]
     show(f"{clock}  opcode {sif.opcode:>3}  seq {sif.seq:>3}  {what}".rstrip(), flush=True)

@@ -9,6 +9,7 @@ import argparse
 import time
 
 from j2a_spec.constants import MANY_DATA
+from j2a_spec.plural import counted
 
 from j2a.cli._exit import FAILED, OK, CommandFailed
 from j2a.cli._link import (
@@ -49,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
             client.write_many(function, data, progress=progress)
         took_s = time.monotonic() - start
         rate = size_text(len(data) / took_s)
-        note(f"{len(data)} bytes written to {args.function} in {took_s:.2f} s ({rate}/s)")
+        size = counted(len(data), "byte")
+        note(f"{size} written to {args.function} in {took_s:.2f} s ({rate}/s)")
         if not args.verify:
             return OK
         with Progress(f"verify {args.function}", enabled=not args.no_progress) as progress:

@@ -9,6 +9,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Final
 
+from j2a_spec.plural import counted
+
 from j2a.errors import LocalError
 from j2a.events import Sample
 from j2a.types.model import Enumeration, Structure, Type
@@ -90,8 +92,8 @@ class Batch:
 
     def __repr__(self) -> str:
         count = len(self.counts)
-        told = [f"{count} sample{'s' * (count != 1)}"]
-        told += [f"{len(self)} values"] * bool(self.sensor.queue)
+        told = [counted(count, "sample")]
+        told += [counted(len(self), "value")] * bool(self.sensor.queue)
         told += [f"{getattr(self, key)} {key}" for key in ("lost", "missed") if getattr(self, key)]
         told += ["reset"] * self.is_reset
         return f"<j2a.Batch of {self.sensor.name}: {', '.join(told)}>"

@@ -7,6 +7,8 @@ for each transducer. Rule: the text depends on nothing else, so it changes only 
 from collections.abc import Iterator
 from typing import Final
 
+from j2a_spec.plural import counted
+
 from j2a.types.coding import python_names
 from j2a.types.model import Enumeration
 from j2a.types.stub import class_name, quoted
@@ -81,6 +83,6 @@ def _board(descriptors: Descriptors, is_async: bool) -> Iterator[str]:
 
 
 def _about(one: Transducer) -> str:
-    channels = "1 channel" if one.channels == 1 else f"{one.channels} channels"
+    channels = counted(one.channels, "channel")
     doc = one.doc or one.model or one.name
     return f"{doc}{'' if doc.endswith('.') else '.'} {channels} of {one.type}."

@@ -182,7 +182,8 @@ function takeStatus(about) {
   drawEmpty();
   byId("sinks").replaceChildren(
     ...(about.sinks ?? []).map((sink) => {
-      const text = `${sink.name}: ${sink.published} samples, ${sink.dropped} dropped`;
+      const samples = sink.published === 1 ? "sample" : "samples";
+      const text = `${sink.name}: ${sink.published} ${samples}, ${sink.dropped} dropped`;
       const item = make("li", {}, text);
       if (sink.problem) item.append(" · ", make("span", { class: "bad" }, sink.problem));
       return item;

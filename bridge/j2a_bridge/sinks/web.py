@@ -22,6 +22,8 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+from j2a_spec.plural import counted
+
 from j2a import LocalError
 from j2a.cli.plugin import plain
 from j2a.types.model import Enumeration, Structure, Type
@@ -339,7 +341,8 @@ class WebSink(Sink):
         if (values := self.actuators.news()) is not None:
             news.append(values)
         if left_out:
-            lines.append(_line("", "log", f"{left_out} more lines are not shown"))
+            text = counted(left_out, "more line is not shown", "more lines are not shown")
+            lines.append(_line("", "log", text))
         if lines:
             news.append({"op": "log", "lines": lines})
         return news

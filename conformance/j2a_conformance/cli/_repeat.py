@@ -8,6 +8,8 @@ a series that ends early says so, and tells what it saw.
 from collections import Counter
 from collections.abc import Callable
 
+from j2a_spec.plural import counted
+
 from j2a_conformance._model import STOPPED_BY_USER, HarnessError, Run, Verdict
 
 from ._exit import FAILED, HARNESS, INTERRUPTED, status
@@ -48,10 +50,12 @@ def repeat(times: int, once: Callable[[], Run]) -> tuple[Run, int]:
     assert last is not None
     differ = {case: verdicts for case, verdicts in seen.items() if len(verdicts) > 1}
     for case, verdicts in differ.items():
-        words = ", ".join(f"{verdict.value} {count} times" for verdict, count in verdicts.items())
+        words = ", ".join(
+            f"{verdict.value} {counted(count, 'time')}" for verdict, count in verdicts.items()
+        )
         show(f"NOT THE SAME in all runs: {case}: {words}")
     if stopped:
-        show(f"Ended after {whole} of {times} runs: {stopped}.")
+        show(f"Ended after {whole} of {counted(times, 'run')}: {stopped}.")
     elif not differ:
         show(f"The verdicts of {times} runs are the same, case by case.")
     if stopped == STOPPED_BY_USER:

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from j2a_spec.plural import counted
+
 from j2a_conformance._model import HarnessError
 from j2a_conformance.faults import _report, _vectors
 from j2a_conformance.faults._experiment import KINDS, Kind, Wrong, player_for, run, shortest
@@ -186,7 +188,8 @@ def _rows(player: Player, url: str, args: argparse.Namespace, kinds: Sequence[Ki
 
 
 def _progress(row: Row) -> None:
-    show(f"{row.kind}: {row.frames} requests, {row.faults} faults", flush=True)
+    requests, faults = counted(row.frames, "request"), counted(row.faults, "fault")
+    show(f"{row.kind}: {requests}, {faults}", flush=True)
 
 
 def _save(player: Player, wrong: Wrong, path: Path) -> None:
@@ -219,7 +222,8 @@ def _replay(player: Player, args: argparse.Namespace) -> int:
             show(f"{name}: {outcome}", flush=True)
     right = len(streams) - failed - unplayed
     rest = f", {unplayed} not played: more than the device has room for" if unplayed else ""
-    show(f"{right} of {len(streams)} streams are answered rightly{rest}")
+    count = counted(len(streams), "stream is", "streams are")
+    show(f"{right} of {count} answered rightly{rest}")
     if failed:
         return FAILED
     return CONFORMANT if right else NOTHING

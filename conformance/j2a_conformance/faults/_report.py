@@ -8,6 +8,8 @@ import json
 from statistics import median
 from typing import Any
 
+from j2a_spec.plural import counted
+
 from ._experiment import Experiment, Wrong
 from ._row import Row
 from ._theory import CONFIDENCE, Share
@@ -39,8 +41,8 @@ def report(experiment: Experiment) -> str:
     strays = sum(row.strays for row in experiment.rows)
     if unjudged or strays:
         frames = sum(row.frames for row in experiment.rows)
-        not_judged = f"{unjudged} of {frames} exchanges not judged"
-        lines += ["", f"{not_judged}, {strays} wrong answers not seen again"]
+        not_judged = f"{unjudged} of {counted(frames, 'exchange')} not judged"
+        lines += ["", f"{not_judged}, {counted(strays, 'wrong answer')} not seen again"]
     lines += ["", *experiment.complaints, *experiment.gaps]
     if experiment.wrong is not None:
         lines += wrong_lines(experiment.wrong)

@@ -13,6 +13,7 @@ from typing import Final, Literal
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
+from j2a_spec.plural import counted
 
 from ._theory import Share
 
@@ -118,7 +119,8 @@ class Row:
     def gap(self) -> str:
         """Return why the row is no proof of anything, in words, or ""."""
         if not self.hit:
-            return f"{self.kind}: no fault in {self.frames} exchanges; a higher rate makes some"
+            exchanges = counted(self.frames, "exchange")
+            return f"{self.kind}: no fault in {exchanges}; a higher rate makes some"
         if self.hit_unjudged > self.hit * _UNJUDGED_SHARE:
             return (
                 f"{self.kind}: {self.hit_unjudged} of {self.hit} exchanges with faults could not "
@@ -136,5 +138,7 @@ class Row:
             if not share.agrees(self.theory[side])
         ]
         if too_many_strays(self.strays, self.frames):
-            found.append(f"{self.kind}: {self.strays} wrong answers that did not come again")
+            found.append(
+                f"{self.kind}: {counted(self.strays, 'wrong answer')} that did not come again"
+            )
         return found

@@ -17,6 +17,7 @@ from typing import Final
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
+from j2a_spec.plural import counted
 from j2a_transports import Transport, TransportError
 from j2a_transports.faults import FaultInjector, Rates
 
@@ -82,16 +83,18 @@ class Soak:
         """Why the device is wrong, in words, or ""."""
         if not too_many_strays(len(self.strays), self.batches):
             return ""
-        return f"{len(self.strays)} wrong answers that did not come again"
+        return f"{counted(len(self.strays), 'wrong answer')} that did not come again"
 
     def __str__(self) -> str:
         kinds = ", ".join(f"{number} {kind}" for kind, number in sorted(self.kinds.items()))
         return (
-            f"{self.damaged} damaged frames of {self.frames}, {self.sent} bytes in {self.batches} "
-            f"batches, {self.seconds:.1f} s, {self.damaged / max(self.seconds, 1e-9):.0f}/s\n"
+            f"{counted(self.damaged, 'damaged frame')} of {self.frames}, "
+            f"{counted(self.sent, 'byte')} in {counted(self.batches, 'batch', 'batches')}, "
+            f"{self.seconds:.1f} s, {self.damaged / max(self.seconds, 1e-9):.0f}/s\n"
             f"  faults: {kinds}\n"
-            f"  {self.replies} replies, all whole; {self.exact} batches compared reply by reply, "
-            f"{len(self.strays)} wrong answers not seen again"
+            f"  {counted(self.replies, 'reply', 'replies')}, all whole; "
+            f"{counted(self.exact, 'batch', 'batches')} compared reply by reply, "
+            f"{counted(len(self.strays), 'wrong answer')} not seen again"
             + "".join(f"\n  not seen again: {reason}" for reason in self.strays)
         )
 

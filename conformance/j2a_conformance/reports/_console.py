@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from j2a_spec import constants as c
 from j2a_spec import requirements
 from j2a_spec.capabilities import LEVELS
+from j2a_spec.plural import counted
 from j2a_spec.printable import printable
 
 from j2a_conformance._model import Evidence, Outcome, Result, Run, Verdict
@@ -32,7 +33,7 @@ _ARROWS = {"sent": "->", "received": "<-", "sif": "<~", "expected": "expected", 
 def line(result: Result) -> str:
     """Return one line for a result."""
     again = f" ({result.attempts} attempts)" if result.attempts > 1 else ""
-    again += f" ({result.repeated} exchanges repeated)" if result.repeated else ""
+    again += f" ({counted(result.repeated, 'exchange')} repeated)" if result.repeated else ""
     reason = f": {result.reason}" if result.reason else ""
     return printable(
         f"{result.verdict.value:{_WIDEST}} {result.case}  {result.duration_s:.2f} s{again}{reason}"
@@ -49,10 +50,11 @@ def _claims(run: Run) -> Iterator[str]:
     title = f"{run.title}, " if run.title else ""
     yield f"J2A conformance of {title}{run.url}, {run.started}, profile {run.profile}"
     if run.lossy:
+        repeated = sum(result.repeated for result in run.results)
         yield (
-            f"The link was declared lossy: each exchange had up to {run.lossy} attempts, and "
-            f"{sum(result.repeated for result in run.results)} were repeated. A fault that the "
-            "device shows only now and then cannot be told from one of the link."
+            f"The link was declared lossy: each exchange had up to "
+            f"{counted(run.lossy, 'attempt')}, and {counted(repeated, 'was', 'were')} repeated. A "
+            "fault that the device shows only now and then cannot be told from one of the link."
         )
     if run.claims is None:
         return

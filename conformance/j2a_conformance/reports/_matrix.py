@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from j2a_spec.capabilities import LEVELS
+from j2a_spec.plural import counted
 from j2a_spec.requirements import Level
 
 from j2a_conformance._model import Run, Verdict
@@ -59,7 +60,7 @@ def render(runs: Sequence[Run]) -> bytes:
     columns = [_column(number, run) for number, run in enumerate(runs, 1)]
     return page(
         "matrix.html.j2",
-        title="1 run" if len(runs) == 1 else f"{len(runs)} runs",
+        title=counted(len(runs), "run"),
         columns=columns,
         levels=[
             (level, [column.levels.get(level) for column in columns])

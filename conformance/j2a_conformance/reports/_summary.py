@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
+from j2a_spec.plural import counted
 from j2a_spec.requirements import Level
 
 from j2a_conformance._model import Outcome, Run, Verdict
@@ -95,7 +96,7 @@ def judgement(run: Run) -> str:
 def _words(run: Run) -> str:
     if run.outcome is Outcome.FAILED:
         failed = len(run.with_verdict(Verdict.FAILED))
-        return f"not conformant: {failed} of {len(run.results)} cases failed"
+        return f"not conformant: {failed} of {counted(len(run.results), 'case')} failed"
     early = ": the run ended early" if run.stopped else ""
     if not run.tested:
         return f"nothing was tested{early}"

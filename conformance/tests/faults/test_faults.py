@@ -213,10 +213,10 @@ def test_found_saved_played_again(served, reference, build_firmware, tmp_path, c
     assert saved["tests"][0]["stream"] == "1200000000"
 
     assert main(["faults", broken, "--replay", str(vector)]) == 1
-    assert "0 of 1 streams are answered rightly" in capsys.readouterr().out
+    assert "0 of 1 stream is answered rightly" in capsys.readouterr().out
     assert main(["faults", served(reference), "--replay", str(vector)]) == 0
     assert main(["faults", f"exec:{build_firmware('demo')}", "--replay", str(vector)]) == 0
-    assert "1 of 1 streams are answered rightly" in capsys.readouterr().out
+    assert "1 of 1 stream is answered rightly" in capsys.readouterr().out
 
 
 def test_golden_streams_are_answered_rightly(build_firmware, capsys):
@@ -372,7 +372,7 @@ def test_no_stream_played_is_no_proof(served, silent_about_room, tmp_path, capsy
     path.write_text(json.dumps({"kind": "stream", "tests": [stream]}), "utf-8")
     assert main(["faults", served(silent_about_room), "--replay", str(path), "-v"]) == 4
     assert capsys.readouterr().out == (
-        "one: not played\n0 of 1 streams are answered rightly, "
+        "one: not played\n0 of 1 stream is answered rightly, "
         "1 not played: more than the device has room for\n"
     )
 

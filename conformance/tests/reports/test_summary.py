@@ -25,7 +25,7 @@ UNIMPLEMENTED, INFORMATIONAL = Verdict.UNIMPLEMENTED, Verdict.INFORMATIONAL
     [
         (run_of(OK), "conformant", "ok"),
         (run_of(OK, FAILED), "not conformant: 1 of 2 cases failed", "failed"),
-        (run_of(FAILED, stopped="gone"), "not conformant: 1 of 1 cases failed", "failed"),
+        (run_of(FAILED, stopped="gone"), "not conformant: 1 of 1 case failed", "failed"),
         (run_of(), "nothing was tested", "not-run"),
         (run_of(UNIMPLEMENTED), "nothing was tested", "not-run"),
         (run_of(OK, UNIMPLEMENTED, asked=("case.1",)), "nothing was tested", "not-run"),

@@ -14,6 +14,7 @@ from j2a_spec.constants import (
     GET_INTERFACE,
     MAX_PAYLOAD,
 )
+from j2a_spec.plural import counted
 
 import j2a
 from j2a.cli import main
@@ -247,7 +248,7 @@ def test_write_and_read_back(run, url, tmp_path, size):
     source.write_bytes(bytes(index * 7 & 0xFF for index in range(size)))
     result = run("write", url, "store", f"@{source}", "--verify")
     assert (result.code, result.out) == (0, "")
-    assert f"{size} bytes written to store" in result.err
+    assert f"{counted(size, 'byte')} written to store" in result.err
     assert result.err.endswith("verified\n")
     assert "\r" not in result.err, "a progress bar without a terminal"
 
