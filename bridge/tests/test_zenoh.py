@@ -14,7 +14,7 @@ import zenoh
 from j2a_bridge.command_fleet import ask, lines, read_status
 from j2a_bridge.ros_messages import RosMessages
 from j2a_bridge.sink_request import SinkRequest, make_sink
-from j2a_bridge.sinks.zenoh import FLEET
+from j2a_bridge.sinks.zenoh import FLEET, open_session
 from j2a_bridge.topics import Topic
 
 import j2a
@@ -339,6 +339,36 @@ def test_fleet_tells_what_a_locator_is(locator):
     assert result.returncode == 2
     wrong = locator.rpartition("+")[2]
     assert f"{wrong!r} is no locator of Zenoh, such as tcp/192.168.1.5:7447" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "file_mode", "mode"),
+    [
+        ("", "router", "router"),
+        ("", None, None),
+        ("mode=peer,", "router", "peer"),
+        ("mode=client,", None, "client"),
+    ],
+)
+def test_only_a_mode_that_was_named_replaces_that_of_the_file(
+    tmp_path, monkeypatch, words, file_mode, mode
+):
+    opened = []
+    monkeypatch.setattr(zenoh, "open", opened.append)
+    path = tmp_path / "zenoh.json5"
+    path.write_text(json.dumps({} if file_mode is None else {"mode": file_mode}))
+    made = make_sink(SinkRequest.parse(f"zenoh:{words}file={path}"), None)
+    open_session(made.options)
+    [config] = opened
+    assert json.loads(config.get_json("mode")) == mode
+
+
+def test_without_a_file_it_is_a_peer(monkeypatch):
+    opened = []
+    monkeypatch.setattr(zenoh, "open", opened.append)
+    open_session(make_sink(SinkRequest.parse("zenoh"), None).options)
+    [config] = opened
+    assert json.loads(config.get_json("mode")) == "peer"
 
 
 @pytest.mark.parametrize("option", ["connect", "listen"])

@@ -59,16 +59,16 @@ def open_session(options: Mapping[str, Any]) -> Any:
     """Open a session of Zenoh.
 
     Args:
-        options: of the sink: mode, connect, listen, file.
+        options: of the sink: mode, connect, listen, file. A mode of "" is that of the file, or
+            peer.
 
     Raises:
         SinkError: it cannot be opened.
         LocalError: the package is missing, or an option is wrong.
     """
     zenoh = _zenoh()
-    mode = options["mode"]
-    if mode not in _MODES:
-        raise LocalError(f"the mode of zenoh is one of {', '.join(_MODES)}, not {mode!r:.40}")
+    _check_mode(options["mode"])
+    mode = options["mode"] or _MODES[0]
     if options["file"] and not Path(options["file"]).is_file():
         raise LocalError(f"there is no file {options['file']}")
     connect, listen = (_locators(options[key]) for key in ("connect", "listen"))
@@ -76,7 +76,9 @@ def open_session(options: Mapping[str, Any]) -> Any:
         listen = [ROUTER] if mode == "router" else ["tcp/127.0.0.1:0"]
     try:
         config = zenoh.Config.from_file(options["file"]) if options["file"] else zenoh.Config()
-        changes: dict[str, Any] = {"mode": mode}
+        changes: dict[str, Any] = {}
+        if options["mode"] or not options["file"]:
+            changes["mode"] = mode
         if not options["file"]:
             changes["scouting/multicast/enabled"] = False
             if mode != "client":
@@ -100,6 +102,16 @@ def open_session(options: Mapping[str, Any]) -> Any:
         raise SinkError(f"zenoh does not open: {text}") from None
 
 
+def _check_mode(mode: str) -> None:
+    """Refuse what is no mode of Zenoh; "" is none that was named.
+
+    Raises:
+        LocalError: it is none.
+    """
+    if mode and mode not in _MODES:
+        raise LocalError(f"the mode of zenoh is one of {', '.join(_MODES)}, not {mode!r:.40}")
+
+
 def _locators(text: str) -> list[str]:
     """Return the locators of an option.
 
@@ -121,7 +133,11 @@ class ZenohSink(Sink):
 
     SUMMARY = "topics of ROS 2 over Zenoh (rmw_zenoh), and this computer in `j2a fleet`"
     OPTIONS: ClassVar[Mapping[str, Option]] = {
-        "mode": Option(str, "peer", "peer, client, or router: be the one that others connect to"),
+        "mode": Option(
+            str,
+            "",
+            "peer, client, or router, to which others connect (of the file, else peer)",
+        ),
         "connect": Option(str, "", f"locators of routers, with + between them ({ROUTER})"),
         "listen": Option(str, "", "locators to listen at, such as tls/0.0.0.0:7448 (loopback)"),
         "file": Option(str, "", "a file with the configuration of Zenoh, such as keys for TLS"),
@@ -135,10 +151,7 @@ class ZenohSink(Sink):
         super().__init__(argument, options, control)
         if options["distro"] not in ("humble", "jazzy"):
             raise LocalError(f"the distro is humble or jazzy, not {options['distro']!r:.40}")
-        if options["mode"] not in _MODES:
-            raise LocalError(
-                f"the mode of zenoh is one of {', '.join(_MODES)}, not {options['mode']!r:.40}"
-            )
+        _check_mode(options["mode"])
         self._domain = domain_of(options["domain"])
         check_node(options["node"])
         for option in ("connect", "listen"):
@@ -163,8 +176,9 @@ class ZenohSink(Sink):
         self._diagnostics = self._publisher(self._node, *kind, _RELIABLE)
 
     def told(self) -> str:
-        """Return where it is."""
-        return f"zenoh {self.options['mode']} {self._session.info.zid()}"
+        """Return where it is; the mode is that of the file where none was named."""
+        mode = self.options["mode"] or self.options["file"] or _MODES[0]
+        return f"zenoh {mode} {self._session.info.zid()}"
 
     def announce(self, topic: Topic) -> None:
         """Declare a publisher for a sensor, or a subscriber for an actuator."""
