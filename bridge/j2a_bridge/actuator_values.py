@@ -11,7 +11,7 @@ import threading
 from typing import Any, Final
 
 import j2a
-from j2a.cli.plugin import json_of
+from j2a.cli.plugin import json_of, plain
 from j2a.types.model import Enumeration
 from j2a.types.transducers import Transducer
 from j2a_bridge.topics import Topic
@@ -91,7 +91,9 @@ def _text(actuator: Transducer, value: Any) -> str | None:
     value = json_of(value)
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return None
-    if isinstance(value, float):
+    if isinstance(value, float) and actuator.is_scaled:
         # Without the digits that only rounding made, such as those of 3 * 0.1.
         return f"{value:.{7 if actuator.type.element == 'f32' else 15}g}"
+    if isinstance(value, float):
+        return plain(value, actuator.type).removesuffix(".0")
     return value if isinstance(value, str) else json.dumps(value, default=str)

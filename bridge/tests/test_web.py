@@ -1006,6 +1006,49 @@ def test_steps_of_the_raw_value_are_not_hidden(kind, scale, raw, shown):
     assert span.object()["v"] == [shown]
 
 
+@pytest.mark.parametrize(
+    ("kind", "more", "raw", "shown"),
+    [
+        ("f64", "", (51.12345678901234,), "51.12345678901234"),
+        ("f64", "", (0.1,), "0.1"),
+        ("f64", "", (100.0,), "100"),
+        ("f64", "", (math.inf,), "inf"),
+        ("f32", "", (0.1,), "0.1"),
+        ("f32", "", (16777215.0,), "16777215"),
+        ("f64", ", (scale, 0.1)", (3.0,), "0.3"),
+        ("f32", ", (scale, 0.5)", (33554430.0,), "16777215"),
+        ("array(f64, 2)", "", (51.12345678901234, -1.0), "51.12345678901234  -1"),
+        ("array(f32, 2)", "", (0.1, 1234.567), "0.1  1234.567"),
+    ],
+)
+def test_a_floating_point_number_has_the_digits_that_tell_it_from_others(kind, more, raw, shown):
+    topic = topic_of(f"SENSOR(s, 0, s, M, 1, {kind}, none{more})")
+    span = _Span({})
+    code = "f" if "f32" in kind else "d"
+    span.add(update_of(topic, struct.pack(f"<Q{len(raw)}{code}", 1, *raw)))
+    assert span.object()["v"] == [shown]
+
+
+def test_a_scaled_array_has_the_digits_of_its_steps():
+    topic = topic_of("SENSOR(s, 0, s, M, 1, array(i32, 2), none, (scale, 1e-7))")
+    span = _Span({})
+    span.add(update_of(topic, struct.pack("<Q2i", 1, 511234567, 0)))
+    assert span.object()["v"] == ["51.1234567  0"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "raw", "shown"),
+    [
+        ("f64", 51.12345678901234, "51.12345678901234"),
+        ("f32", struct.unpack("<f", struct.pack("<f", 16777215))[0], "16777215"),
+        ("f32", struct.unpack("<f", struct.pack("<f", 0.1))[0], "0.1"),
+    ],
+)
+def test_a_floating_point_actuator_shows_the_value_that_it_has(kind, raw, shown):
+    actuator = topic_of(f"ACTUATOR(a, 0, a, M, 1, {kind}, none)").transducer
+    assert _object(actuator, j2a.Reading(0, 7, raw, raw))["text"] == shown
+
+
 def test_values_are_shown_with_unit_and_what_is_none_as_such():
     topic = topic_of("SENSOR(s, 0, s, M, 3, i16, -1, (unit, mV), (scale, 0.1))")
     span = _Span({})

@@ -44,6 +44,7 @@ __all__ = ["WebSink"]
 _SERIES: Final = 32
 _DIGITS: Final = 6
 _MOST_DIGITS: Final = 15
+_MOST_DIGITS_OF: Final = {"f32": 9, "f64": _MOST_DIGITS}
 _LOG: Final = 200
 _LINES: Final = 50
 """So many lines of the log go to pages at once."""
@@ -115,20 +116,32 @@ def _shown(value: Any, kind: Type, step: float = 0.0) -> str:
         step: between two values that follow each other; 0 for none that is known.
     """
     if isinstance(value, float):
-        return f"{value:.{_digits(value, step)}g}"
+        return _number(value, kind, step)
     if hasattr(value, "_asdict") and isinstance(kind.element, Structure):
         lines = []
         for field, one in zip(kind.element.fields, value, strict=True):
             lines.append(f"{field.name}  {_shown(one, field.type)} {field.type.unit}".rstrip())
         return "\n".join(lines)
     if isinstance(value, list | tuple):
-        return "  ".join(_shown(one, kind) for one in value)
+        return "  ".join(_shown(one, kind, step) for one in value)
     return plain(value)
+
+
+def _number(value: float, kind: Type, step: float) -> str:
+    """Return a number with the digits that tell it from others, as `j2a watch` shows them."""
+    most = _MOST_DIGITS_OF.get(kind.element) if isinstance(kind.element, str) else None
+    if not math.isfinite(value):
+        return f"{value:g}"
+    if most is None:
+        return f"{value:.{_digits(value, step)}g}"
+    if step:  # scaling adds digits that only rounding made
+        return f"{value:.{most}g}"
+    return plain(value, kind).removesuffix(".0")
 
 
 def _digits(value: float, step: float) -> int:
     """Return how many digits are shown: six, more where these hide steps, as of degrees of GPS."""
-    if not step or not value or not math.isfinite(value):
+    if not step or not value:
         return _DIGITS
     needed = 1 + math.floor(math.log10(abs(value))) + math.ceil(-math.log10(step))
     return min(max(_DIGITS, needed), _MOST_DIGITS)
