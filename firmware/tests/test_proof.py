@@ -132,6 +132,17 @@ def test_what_was_proved_is_proved_again_where_it_changed(prove_here, core, tmp_
     assert proved("sender") == (2, 0)
 
 
+def test_a_path_may_have_a_blank(need, tmp_path, monkeypatch):
+    """The hash knows no names of folders, but that the preprocessor found none of its files."""
+    need("frama-c")
+    [analysis] = [one for one in ANALYSES if one.name.startswith(CLOCK)]
+    before = module.digest(analysis, module.CORE)
+    core = shutil.copytree(FIRMWARE / "core", tmp_path / "a core")
+    here = shutil.copytree(module.HERE, tmp_path / "a proof")
+    monkeypatch.setattr(module, "HERE", here)
+    assert module.digest(analysis, core) == before
+
+
 QUICK = {"a sender that does not stuff SOS", "the server resets the parser's count"}
 DEFECTS = {
     "a payload one byte too short": (

@@ -279,11 +279,14 @@ def _frama_c(option: str) -> str:
 
 def _preprocess(analysis: Analysis, core: Path) -> str:
     """Return the command of the preprocessor, without its files."""
+    folders = {
+        "libc": Path(_frama_c("-print-share-path"), "libc"),
+        "own": (HERE / analysis.driver).parent,
+        "core": core,
+        "here": HERE,
+    }
     return PREPROCESS.format(
-        libc=f"{_frama_c('-print-share-path')}/libc",
-        own=(HERE / analysis.driver).parent,
-        core=core,
-        here=HERE,
+        **{name: shlex.quote(str(path)) for name, path in folders.items()},
         machine_upper=analysis.machine.upper(),
         defines=" ".join(analysis.defines),
     )
