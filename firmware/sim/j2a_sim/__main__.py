@@ -1,12 +1,7 @@
-"""`python -m j2a_sim avr ELF`: the simulator without the rest of the command line."""
+"""`python -m j2a_sim avr ELF` is `j2a sim avr ELF`."""
 
-from __future__ import annotations
-
-import argparse
 import sys
 
-from j2a_sim._command import add_arguments, run
+from j2a.cli import main
 
-parser = argparse.ArgumentParser(prog="python -m j2a_sim", description="Simulated devices.")
-add_arguments(parser)
-sys.exit(run(parser.parse_args()))
+sys.exit(main(["sim", *sys.argv[1:]]))

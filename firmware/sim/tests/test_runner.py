@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 import re
 import signal
 import socket
@@ -324,6 +325,22 @@ def test_a_slow_simulation_ends_at_once(firmware, number, hosts):
             process.send_signal(number)
             process.communicate(timeout=WAIT_S)
     assert process.returncode == 128 + number
+
+
+def test_command_ends_quietly_when_the_reader_of_its_output_goes_away(firmware):
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-m", "j2a_sim", "avr", str(firmware("echo"))]
+    result = subprocess.run(
+        [*words, "--listen", "tcp://127.0.0.1:0"],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    os.close(writer)
+    assert (result.returncode, result.stderr) == (141, "")
 
 
 def test_command_on_standard_streams(firmware):
