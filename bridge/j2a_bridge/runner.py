@@ -216,7 +216,8 @@ class SinkRunner:
                     self.sink.status(item)
             elif not isinstance(item, bool):
                 self._change(*item)
-            if self._is_open and not self._is_flushed and not self._taken and not self._waiting:
+            is_behind = bool(self._news or self._taken or self._waiting)
+            if self._is_open and not self._is_flushed and not is_behind:
                 self._is_flushed = True
                 self.sink.flush()
         except Exception as error:  # of a sink of anybody
@@ -263,6 +264,7 @@ class SinkRunner:
             self._topics[topic.name] = topic
         if not self._is_open or (has_come and before is topic):
             return
+        self._is_flushed = False
         if before is not None:
             self._warned.discard(before.name)
             if before.name in self._refused:
@@ -294,6 +296,7 @@ class SinkRunner:
         self._refused.clear()
         try:
             self.sink.open()
+            self._is_flushed = False
             for topic in self._topics.values():
                 self._announce(topic)
         except Exception as error:

@@ -361,7 +361,7 @@ class Sink(ABC):
         """Take in the state of all; called once a second."""
 
     def flush(self) -> None:  # noqa: B027
-        """Send what was kept back; called when no sample waits."""
+        """Send what was kept back; called when no sample and no other topic waits."""
 
     def told(self) -> str:
         """Return a line that says where it can be found, or ""."""

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import paho.mqtt.client as paho
 import pytest
+from j2a_bridge.runner import SinkRunner
 from j2a_bridge.sink import Control, SinkError
 from j2a_bridge.sinks import mqtt
 from j2a_bridge.sinks.mqtt import MqttSink
@@ -343,6 +344,7 @@ def test_births_that_paho_does_not_take_fail_the_sink_which_tells_them_anew(brok
         with pytest.raises(SinkError, match="takes no births"):
             for _ in range(100):
                 sink.announce(topic)
+                sink.flush()
     finally:
         broker._process.send_signal(signal.SIGCONT)
         sink.close()
@@ -414,6 +416,7 @@ def test_boards_that_went_while_the_broker_was_away_are_dead_when_it_is_back(
     try:
         for topic in topics:
             sink.announce(topic)
+        sink.flush()
         assert all(one["topics"] for one in births())
         sink.close()
         sink.open()
@@ -423,6 +426,7 @@ def test_boards_that_went_while_the_broker_was_away_are_dead_when_it_is_back(
             assert listener.next(f"j2a/DBIRTH/{HOST}/{topic.board}") == {}
         for topic in topics:
             sink.announce(topic)
+        sink.flush()
         assert all(one["topics"] for one in births())
     finally:
         sink.close()
@@ -442,12 +446,69 @@ def test_the_birth_of_a_board_has_all_that_is_here_of_it(broker, listener, kind)
     try:
         for count, topic in enumerate(topics, 1):
             sink.announce(topic)
+            sink.flush()
             assert born() == [one.name for one in topics[:count]]
         for count in (2, 1):
             sink.retract(topics[count])
+            sink.flush()
             assert born() == [one.name for one in topics[:count]]
     finally:
         sink.close()
+
+
+class Sent:
+    """A client of a broker that is there, and keeps what it was given."""
+
+    def __init__(self):
+        self.births = []
+
+    def publish(self, topic, data, qos, retain):
+        if "/DBIRTH/" in topic:
+            self.births.append(sorted(json.loads(data).get("topics", {})))
+
+    def is_connected(self):
+        return False
+
+    def disconnect(self):
+        pass
+
+    loop_stop = disconnect
+
+
+def test_a_board_is_born_once_with_all_that_comes_at_once(monkeypatch):
+    client = Sent()
+    sink = sink_of(1883)
+
+    def is_open():
+        sink._client = client
+        sink._connected.set()
+
+    monkeypatch.setattr(sink, "open", is_open)
+    runner = SinkRunner("mqtt", sink)
+    topics = [
+        topic_of("SENSOR(s, 0, s, M, 1, u8, none)", name=f"s{number}") for number in range(20)
+    ]
+    for topic in topics:
+        runner.announce(topic)
+    runner.start()
+    until_then = time.monotonic() + PATIENCE_S
+    while not client.births and time.monotonic() < until_then:
+        time.sleep(0.01)
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert client.births == [sorted(one.name for one in topics)]
+
+
+def test_a_board_is_born_before_its_first_sample():
+    client = Sent()
+    sink = sink_of(1883)
+    sink._client = client
+    sink._connected.set()
+    topic = topic_of("SENSOR(s, 0, s, M, 1, u8, none)")
+    sink.announce(topic)
+    assert client.births == []
+    sink.publish(update_of(topic, struct.pack("<QB", 7, 1)))
+    assert client.births == [[topic.name]]
 
 
 def test_who_comes_after_a_bridge_has_died_is_told_of_it(broker, listener):

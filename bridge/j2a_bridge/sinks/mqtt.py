@@ -80,6 +80,10 @@ class MqttSink(Sink):
         self._connected = threading.Event()
         self._why = ""
         self._boards: dict[str, dict[str, Topic]] = {}
+        self._objects: dict[str, dict[str, dict[str, Any]]] = {}  # of these: what a birth says
+        # Boards that have become others since their births: topics come one by one, mostly all of
+        # a board at once.
+        self._changed: set[str] = set()
         self._births = threading.Lock()  # of boards: the last one that is told is the one that is
         # Boards whose births stay with the broker.
         self._born: set[str] = set()
@@ -95,6 +99,8 @@ class MqttSink(Sink):
         """Connect to the broker."""
         paho = _paho()
         self._boards.clear()
+        self._objects.clear()
+        self._changed.clear()
         self._connected.clear()
         self._why = ""
         self._told.clear()
@@ -214,28 +220,40 @@ class MqttSink(Sink):
         self._here()
 
     def announce(self, topic: Topic) -> None:
-        """Tell what the board has now."""
+        """Take in what the board has now; it is told before the next sample or by `flush`."""
+        about = transducer_object(topic)
         with self._births:
             self._boards.setdefault(topic.board, {})[topic.name] = topic
-            self._tell(topic.board)
+            self._objects.setdefault(topic.board, {})[topic.name] = about
+            self._changed.add(topic.board)
 
     def retract(self, topic: Topic) -> None:
-        """Tell that the board has less, or is gone."""
+        """Take in that the board has less, or tell that it is gone."""
         with self._births:
             board = self._boards.get(topic.board, {})
             board.pop(topic.name, None)
+            self._objects.get(topic.board, {}).pop(topic.name, None)
             if board:
-                self._tell(topic.board)
+                self._changed.add(topic.board)
             else:
                 self._boards.pop(topic.board, None)
+                self._objects.pop(topic.board, None)
+                self._changed.discard(topic.board)
                 self._bury(topic.board)
+
+    def flush(self) -> None:
+        """Tell what boards have now."""
+        with self._births:
+            for board in sorted(self._changed):
+                self._tell(board)
+            self._changed.clear()
 
     def _bury_old(self, board: str, message: Any) -> None:
         """Take back the birth of a board that was here before this program, and is not now."""
         if not message.retain or message.payload in (b"", b"{}"):
             return
         with self._births, contextlib.suppress(SinkError):  # the broker is gone already
-            if board not in self._told:
+            if board not in self._told and board not in self._boards:
                 self._bury(board)
 
     def _bury(self, board: str) -> None:
@@ -247,12 +265,13 @@ class MqttSink(Sink):
     def _tell(self, board: str) -> None:
         self._born.add(board)
         self._told.add(board)
-        about = {name: transducer_object(one) for name, one in self._boards[board].items()}
-        self._send("DBIRTH", {"topics": about}, board, retain=True)
+        self._send("DBIRTH", {"topics": self._objects[board]}, board, retain=True)
 
     def publish(self, update: Update) -> None:
         """Publish a sample; wait now and then until all are sent."""
         topic = update.topic
+        if topic.board in self._changed:
+            self.flush()
         sent = self._send("DDATA", sample_object(update), topic.board, topic.name, qos=0)
         if len(self._given) + 1 < _MOST_UNSENT:
             self._given.append(sent)
