@@ -1,11 +1,15 @@
 """The splitter equals the oracle on any stream in any chunks; the annotations are true."""
 
-from itertools import pairwise
+import time
+from itertools import count, islice, pairwise
+from types import SimpleNamespace
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from j2a_conformance.reports._annotate import annotate
-from j2a_conformance.wire._link import Splitter
+from j2a_conformance.wire._link import _SIFS_KEPT, Link, Splitter
+from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, Incomplete, Skipped, decode, encode
 
 FRAMES = st.builds(
@@ -62,3 +66,43 @@ def test_annotations():
 def test_long_payloads_are_shortened():
     (piece,) = annotate(encode(Frame(0x12, 1, 4, bytes(range(0x20, 0x60)))))
     assert piece.fields[4] == "20 21 22 23 24 25 26 27 ..54 more.. 5e 5f"
+
+
+def flooded(start):
+    """A link on which SIFs come without end, numbered from `start` on."""
+    numbers = count(start)
+
+    def read(_timeout_s):
+        return b"".join(
+            encode(Frame(c.SOS, seq % 256, 1, seq.to_bytes(4, "little")))
+            for seq in islice(numbers, 1000)
+        )
+
+    return Link(SimpleNamespace(clock=time.monotonic, read=read))
+
+
+@pytest.mark.parametrize("start", [0, 77])
+def test_a_flood_of_sifs_does_not_fill_the_memory(start):
+    link = flooded(start)
+    for _ in range(3):
+        link.begin()
+        before = len(link.sifs)
+        assert before <= 1 + _SIFS_KEPT
+        assert link.next_sif(before + 19_999, 60.0) is not None
+        numbers = [int.from_bytes(one.event.payload, "little") for one in link.sifs]
+        # Those of this case are all here, and before them the first one and the newest.
+        assert numbers[0] == start
+        assert numbers[before:] == list(range(numbers[before], numbers[-1] + 1))
+        assert {(new - old) % 256 for old, new in pairwise(numbers)} == {1}
+        assert {new - old for old, new in pairwise(numbers[1:])} == {1}
+        assert all(
+            one.event.seq == number % 256 for one, number in zip(link.sifs, numbers, strict=True)
+        )
+
+
+def test_a_few_sifs_are_all_kept():
+    link = flooded(0)
+    link.next_sif(_SIFS_KEPT - 1000, 60.0)
+    seen = list(link.sifs)
+    link.begin()
+    assert link.sifs == seen

@@ -23,6 +23,8 @@ __all__ = ["Arrival", "Link", "Splitter"]
 _BEFORE_MARKER: Final = re.compile(rb"(?=[\x12\xed])")
 _EVIDENCE_KEPT: Final = 40
 _SENT_KEPT: Final = 256  # writes; enough to find the request of any seq again
+_SIFS_KEPT: Final = 8192  # of the cases before; a sensor at 100 Hz sends fewer in a minute
+_SEQS: Final = 256
 _SPIN_S: Final = 0.0015
 _REPLY_S: Final = 5.0  # a device in an emulator stands still as long as its machine does
 _LOSS_S: Final = 0.05  # more than a device takes to give up a frame (J2A-TIME-002)
@@ -83,7 +85,8 @@ class Link:
         lossy: attempts for each exchange on a link that loses or damages bytes; 0 on any other.
 
     Attributes:
-        sifs: every SIF since the link was opened, in order.
+        sifs: every SIF since the link was opened, in order; but when a case begins, at most
+            some thousands of those before it: the first one, and the newest.
         first: the first frame since then, whole or broken; None before.
         byte_s: time that a byte on the wire takes, as far as it is known.
         expect_loss: do not wait long for an answer: it is lost rather than late.
@@ -158,7 +161,18 @@ class Link:
         self._entries = 0
         self.repeated = 0
         self.expect_loss = bool(self.lossy)
+        self._forget_sifs()
         self._began_s = self.now_s()
+
+    def _forget_sifs(self) -> None:
+        """Forget SIFs of finished cases: a device that floods would fill the memory.
+
+        The seqs of those that stay count up by one: so many are left out as there are seqs, or a
+        multiple of that.
+        """
+        count = len(self.sifs) - _SIFS_KEPT
+        if count > 0:
+            del self.sifs[1 : 1 + count + -count % _SEQS]
 
     def record(
         self, kind: Kind, data: bytes = b"", text: str = "", at_s: float | None = None
