@@ -32,8 +32,8 @@ class Content(Case):
         payload = mapping(peer)
         try:
             names = MAPPING.parse(payload)
-        except cs.ConstructError as error:
-            fail(f"the mapping is not a list of names with NUL at their ends: {error}")
+        except cs.ConstructError:  # what is wrong with a name is said by mapping.names
+            fail("the mapping is not a list of different names with NUL at their ends")
         if names[:1] != [c.GET_MAPPING]:
             fail(f"the name at opcode 0 is {names[0]}" if names else "the mapping is empty")
         functions = peer.claims.functions  # which may be more than fit into the mapping

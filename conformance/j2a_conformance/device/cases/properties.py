@@ -1,8 +1,8 @@
 """The properties (J2A-PROP)."""
 
-import construct as cs
+from typing import Final
+
 from j2a_spec import constants as c
-from j2a_spec.grammar import PROPERTIES
 
 from j2a_conformance._judge import fail, inform, skip
 from j2a_conformance.device._case import Case
@@ -10,6 +10,8 @@ from j2a_conformance.device._contents import check_end, check_offsets, check_wri
 from j2a_conformance.device._peer import Peer
 from j2a_conformance.device._selftest import read
 from j2a_conformance.wire._expected import number
+
+_NO_PAIRS: Final = "the properties are not pairs of texts that each end in NUL"
 
 
 class Content(Case):
@@ -27,8 +29,28 @@ class Content(Case):
     def _run(self, peer: Peer) -> None:
         whole = peer.read_all(c.GET_PROPERTIES)
         if not whole.endswith(b"\0") or whole.count(b"\0") % 2:
-            fail("the properties are not pairs of texts that each end in NUL")
+            fail(_NO_PAIRS)
         check_offsets(peer, c.GET_PROPERTIES, whole, range(len(whole)))
+
+
+def fault_of(whole: bytes) -> str:
+    """Return what is wrong with the pairs of properties, or ""; the grammar says the same."""
+    *texts, rest = whole.split(b"\0")
+    if rest or len(texts) % 2:
+        return _NO_PAIRS
+    keys = texts[::2]
+    for key, value in zip(keys, texts[1::2], strict=True):
+        if not (key.isascii() and key.decode("ascii").isprintable() and key):
+            return f"the key {key!r:.80} is not one or more printable ASCII characters"
+        if not value:
+            return f"the value of {key.decode('ascii')} is empty"
+        try:
+            value.decode("utf-8")
+        except UnicodeDecodeError:
+            return f"the value of {key.decode('ascii')} is not UTF-8: {value!r:.80}"
+    if twice := {key.decode("ascii") for key in keys if keys.count(key) > 1}:
+        return f"keys appear twice: {', '.join(sorted(twice))}"
+    return ""
 
 
 class Pairs(Case):
@@ -41,13 +63,8 @@ class Pairs(Case):
     NEEDS = (c.GET_PROPERTIES,)
 
     def _run(self, peer: Peer) -> None:
-        whole = peer.read_all(c.GET_PROPERTIES)
-        try:
-            keys = [pair.key for pair in PROPERTIES.parse(whole)]
-        except (cs.ConstructError, UnicodeDecodeError) as error:
-            fail(f"the properties cannot be taken apart: {error}")
-        if twice := {key for key in keys if keys.count(key) > 1}:
-            fail(f"keys appear twice: {', '.join(sorted(twice))}")
+        if fault := fault_of(peer.read_all(c.GET_PROPERTIES)):
+            fail(fault)
 
 
 class Written(Case):
