@@ -83,8 +83,8 @@ $(INSTALLED): constraints.txt pyproject.toml tools/venv.sh
 	@PYTHON='$(PYTHON)' sh tools/venv.sh $(VENV)
 	@touch $@
 
-constraints:  ## pin the newest packages that pyproject.toml allows (needs uv)
-	@uv pip compile pyproject.toml --extra dev --no-emit-package j2a --universal \
+constraints: $(INSTALLED)  ## pin the newest packages that pyproject.toml allows
+	@$(BIN)/uv pip compile pyproject.toml --extra dev --no-emit-package j2a --universal \
 	    --python-version 3.11 --fork-strategy fewest --generate-hashes --no-emit-index-url \
 	    --no-annotate --no-header --upgrade --quiet --output-file constraints.txt
 

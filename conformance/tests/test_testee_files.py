@@ -1,6 +1,5 @@
 """Testee files with mistakes, and testees whose commands do not do what they should."""
 
-import os
 import time
 from pathlib import Path
 
@@ -12,6 +11,8 @@ from j2a_conformance.device._packages import PACKAGES
 from j2a_conformance.device._testee import load_testee
 
 from firmware.verify.packages import PACKAGES as INSTALLED
+
+from .gone import check_gone
 
 URL = 'url = "exec:true"'
 LEAVES_A_CHILD = "sleep 311 & echo $! > pid; "
@@ -35,11 +36,7 @@ def gone(tmp_path):
     """Wait until the process has ended whose id a command wrote into the file `pid`."""
 
     def wait():
-        pid = int((tmp_path / "pid").read_text())
-        with pytest.raises(ProcessLookupError):
-            for _ in range(500):  # init may take its time to notice
-                os.kill(pid, 0)
-                time.sleep(0.01)
+        check_gone(int((tmp_path / "pid").read_text()))
 
     return wait
 

@@ -1,6 +1,5 @@
 """The command line for hosts: programs that misbehave, a host that is waited for, Ctrl-C."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -11,6 +10,8 @@ import junitparser
 import pytest
 from j2a_conformance.cli import main
 from j2a_conformance.reports import _json
+
+from conformance.tests.gone import check_gone
 
 # A host program that connects and does what the text says.
 CONNECTS = """
@@ -197,10 +198,3 @@ def test_what_a_program_left_behind_is_ended(tmp_path):
     code = f"sleep 311 & echo $! > {pid_file}; exit 0"
     assert main(["host", "--", "sh", "-c", code]) == 3
     check_gone(int(pid_file.read_text()))
-
-
-def check_gone(pid):
-    with pytest.raises(ProcessLookupError):
-        for _ in range(500):  # init may take its time to notice
-            os.kill(pid, 0)
-            time.sleep(0.01)
