@@ -14,6 +14,7 @@ passes as fast as real time. Without rospy or chromium that part is left out, an
 import argparse
 import asyncio
 import contextlib
+import math
 import os
 import shutil
 import socket
@@ -321,7 +322,7 @@ async def tell_clocks(page: Page, boards: Mapping[str, Served]) -> bool:
     """Print what the page says of the clocks, which takes a few seconds to be good news.
 
     On a busy machine simulated time falls behind, which no clock does: nothing is known of it then,
-    so how fast it has passed is printed, too. After BUSY_LOOKS looks at such a machine it is taken
+    so how fast it has passed at the slowest is printed, too. After BUSY_LOOKS looks at such a machine it is taken
     to stay busy.
 
     Returns:
@@ -333,7 +334,7 @@ async def tell_clocks(page: Page, boards: Mapping[str, Served]) -> bool:
         " (one.innerText.match(/clock (free|locked|settling|holdover)[^\\n]*/)"
         " ?? ['clock not known'])[0])"
     )
-    busy = 0
+    busy, slowest = 0, dict.fromkeys(boards, math.inf)
     for _ in range(30):
         start_s, began = time.monotonic(), {name: one.look()[1] for name, one in boards.items()}
         await asyncio.sleep(2)
@@ -341,13 +342,14 @@ async def tell_clocks(page: Page, boards: Mapping[str, Served]) -> bool:
         known = {line.split(":")[0]: "locked" in line or "settling" in line for line in found}
         span_s = time.monotonic() - start_s
         paces = {name: (one.look()[1] - began[name]) / span_s for name, one in boards.items()}
+        slowest = {name: min(pace, slowest[name]) for name, pace in paces.items()}
         if all(known.values()):
             break
         busy += all(paces[name] < FULL_PACE for name in known if not known[name])
         if busy == BUSY_LOOKS:
             break
     for line in found:
-        pace = paces[line.split(":")[0]]
+        pace = slowest[line.split(":")[0]]
         print(f"the page: {line}, simulated time at {pace:.1%} of real time")
     return all(known.values())
 
