@@ -322,8 +322,8 @@ async def tell_clocks(page: Page, boards: Mapping[str, Served]) -> bool:
     """Print what the page says of the clocks, which takes a few seconds to be good news.
 
     On a busy machine simulated time falls behind, which no clock does: nothing is known of it then,
-    so how fast it has passed at the slowest is printed, too. After BUSY_LOOKS looks at such a machine it is taken
-    to stay busy.
+    so how fast it has passed at the slowest is printed, too. After BUSY_LOOKS looks at such a
+    machine it is taken to stay busy.
 
     Returns:
         Whether all clocks are known.
