@@ -72,7 +72,7 @@ def vectors() -> Iterator[tuple[str, str]]:
 
 def library_tests() -> Iterator[tuple[str, str]]:
     """Yield (requirement, test) of each mark `requirement` in the tests of the library."""
-    for path in sorted(LIBRARY.glob("test_*.py")):
+    for path in sorted(LIBRARY.rglob("test_*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             for mark in getattr(node, "decorator_list", ()):
                 if isinstance(mark, ast.Call) and ast.unparse(mark.func).endswith("requirement"):

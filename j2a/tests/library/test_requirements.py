@@ -10,7 +10,7 @@ MARK = re.compile(r"@pytest\.mark\.requirement\(([^)]*)\)")
 
 def marked() -> set[str]:
     """Return the ids that the marks of the library's tests name."""
-    files = Path(__file__).parents[1].glob("*/test_*.py")
+    files = Path(__file__).parents[1].rglob("test_*.py")
     texts = (path.read_text("utf-8") for path in files)
     marks = (ids for text in texts for ids in MARK.findall(text))
     return {name for ids in marks for name in re.findall(r'"([^"]*)"', ids)}
