@@ -249,10 +249,24 @@ def write(out: Path, name: str = "j2a", port: Path | None = None) -> list[Path]:
     return [out / file for file in texts]
 
 
+def folder_of(text: str) -> Path:
+    """Take an argument for a folder, which need not be there.
+
+    Raises:
+        argparse.ArgumentTypeError: it is something else.
+    """
+    path = Path(text)
+    if path.exists() and not path.is_dir():
+        raise argparse.ArgumentTypeError(f"{text} is no folder")
+    return path
+
+
 def main() -> int:
     """Write what was asked for; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--out", type=Path, default=DEFAULT_OUT, help="the folder for the files")
+    parser.add_argument(
+        "--out", type=folder_of, default=DEFAULT_OUT, help="the folder for the files"
+    )
     parser.add_argument("--name", default="j2a", help="name of the two files (default: j2a)")
     parser.add_argument("--port", help="also the files of this port of firmware/ports")
     args = parser.parse_args()

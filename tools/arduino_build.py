@@ -18,6 +18,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import amalgamate
 import arduino_library
 
 PLATFORM = Path("/usr/share/arduino/hardware/arduino/avr")
@@ -197,14 +198,31 @@ def build(board: Board, library: Path, sketches: list[Path], out: Path) -> list[
     return images
 
 
+def _words(text: str) -> str:
+    """Take an argument for words of a command line.
+
+    Raises:
+        argparse.ArgumentTypeError: a quotation mark is open.
+    """
+    try:
+        shlex.split(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}: {error}") from None
+    return text
+
+
 def main() -> int:
     """Compile what was asked for; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("sketches", nargs="*", metavar="SKETCH", help="default: all examples")
     parser.add_argument("--board", choices=[*BOARDS, "all"], default="all")
     parser.add_argument("--library", type=Path, help="folder J2A (default: made first)")
-    parser.add_argument("--out", type=Path, default=arduino_library.DEFAULT_OUT)
-    parser.add_argument("--options", default="", help="for the compiler: --options=-DJ2A_LINKS=2")
+    parser.add_argument(
+        "--out", type=amalgamate.folder_of, default=arduino_library.DEFAULT_OUT, help="a folder"
+    )
+    parser.add_argument(
+        "--options", type=_words, default="", help="for the compiler: --options=-DJ2A_LINKS=2"
+    )
     args = parser.parse_args()
     if not (PLATFORM / "platform.txt").is_file():
         sys.exit(f"{PLATFORM} is missing: install the package arduino-core-avr")

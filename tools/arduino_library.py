@@ -81,7 +81,9 @@ def write_zip(folder: Path, archive: Path) -> None:
 def main() -> int:
     """Write what was asked for; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--out", type=Path, default=DEFAULT_OUT, help="folder of the result")
+    parser.add_argument(
+        "--out", type=amalgamate.folder_of, default=DEFAULT_OUT, help="folder of the result"
+    )
     parser.add_argument("--url", default="", help="page of the project, for library.properties")
     args = parser.parse_args()
     folder = args.out / NAME

@@ -94,6 +94,8 @@ def main() -> int:
     parser.add_argument("--hours", action="store_true", help="with the rows that last an hour")
     parser.add_argument("--write", action="store_true", help="write it into the page")
     args = parser.parse_args()
+    if args.seeds < 1:
+        parser.error("--seeds is 1 or more")
     table = HEAD
     for row in ROWS:
         if row.hours and not args.hours:

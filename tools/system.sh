@@ -5,6 +5,13 @@
 set -eu
 cd "$(dirname "$0")/.."
 purpose=${1:?"say what for: demo or test"}
+case $purpose in
+demo | test) ;;
+*)
+    echo "system.sh: $purpose: say what for: demo or test" >&2
+    exit 2
+    ;;
+esac
 
 present() {
     case $1 in
