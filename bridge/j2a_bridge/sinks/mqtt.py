@@ -80,7 +80,6 @@ class MqttSink(Sink):
         self._connected = threading.Event()
         self._why = ""
         self._boards: dict[str, dict[str, Topic]] = {}
-        self._objects: dict[str, dict[str, dict[str, Any]]] = {}  # of these: what a birth says
         # Boards that have become others since their births: topics come one by one, mostly all of
         # a board at once.
         self._changed: set[str] = set()
@@ -99,7 +98,6 @@ class MqttSink(Sink):
         """Connect to the broker."""
         paho = _paho()
         self._boards.clear()
-        self._objects.clear()
         self._changed.clear()
         self._connected.clear()
         self._why = ""
@@ -221,10 +219,8 @@ class MqttSink(Sink):
 
     def announce(self, topic: Topic) -> None:
         """Take in what the board has now; it is told before the next sample or by `flush`."""
-        about = transducer_object(topic)
         with self._births:
             self._boards.setdefault(topic.board, {})[topic.name] = topic
-            self._objects.setdefault(topic.board, {})[topic.name] = about
             self._changed.add(topic.board)
 
     def retract(self, topic: Topic) -> None:
@@ -232,12 +228,10 @@ class MqttSink(Sink):
         with self._births:
             board = self._boards.get(topic.board, {})
             board.pop(topic.name, None)
-            self._objects.get(topic.board, {}).pop(topic.name, None)
             if board:
                 self._changed.add(topic.board)
             else:
                 self._boards.pop(topic.board, None)
-                self._objects.pop(topic.board, None)
                 self._changed.discard(topic.board)
                 self._bury(topic.board)
 
@@ -265,7 +259,8 @@ class MqttSink(Sink):
     def _tell(self, board: str) -> None:
         self._born.add(board)
         self._told.add(board)
-        self._send("DBIRTH", {"topics": self._objects[board]}, board, retain=True)
+        about = {name: transducer_object(one) for name, one in self._boards[board].items()}
+        self._send("DBIRTH", {"topics": about}, board, retain=True)
 
     def publish(self, update: Update) -> None:
         """Publish a sample; wait now and then until all are sent."""

@@ -32,6 +32,10 @@ LOOK_S: Final = 0.001  # a hundred looks at what changes in 0.12 s
 WRAP: Final = 65536
 WRAP_US: Final = 20_000_000
 MANY: Final = 600  # a number of one byte has wrapped
+# Times that none of us will see, also for who takes them for fewer bits or for a sign.
+_FAR_US: Final = (1 << 62, (1 << 63) - 1, 1 << 63, (1 << 63) + 12345, (1 << 64) - 1)
+_FAR_BITS: Final = (25, 33, 41, 49, 57)  # so much ahead of the clock: one in each byte
+_TRIES: Final = 100
 _QUIET_S: Final = 0.03
 _MOST_SIFS: Final = 10_000
 ITEMS: Final = 12  # above the numbers of all items, and of some that there are not
@@ -314,6 +318,21 @@ def spread(one: oracle.Transducer) -> list[int]:
     return sorted({0, one.channels // 2, one.channels - 1})
 
 
+def far_us(now_us: int) -> list[int]:
+    """Return times that are far ahead of the clock."""
+    return [*_FAR_US, *(now_us + (1 << bit) for bit in _FAR_BITS)]
+
+
+def room(board: Board, one: oracle.Transducer) -> int:
+    """Return how many values one request of SET has room for."""
+    return (board.peer.longest - 11) // board.size(one)
+
+
+def fit(board: Board, one: oracle.Transducer) -> int:
+    """Return how many channels of an actuator one request sets."""
+    return min(one.channels, room(board, one))
+
+
 def slots(board: Board, one: oracle.Transducer, payload: bytes) -> list[tuple[int, bytes]]:
     """Return time and value of each channel of a sample."""
     size = 8 + board.size(one)
@@ -384,12 +403,12 @@ def wrong_sets(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
     """Yield what SET refuses: too many channels, and values out of range at each place."""
     size, times = board.size(one), (0, 1 << 62)
     good = board.packed(one, numbers(board, one)[0]) if numbers(board, one) else bytes(size)  # type: ignore[index]
-    room = (board.peer.longest - 11) // size
+    most = room(board, one)
     for at in times:
         for first in sorted({one.channels, one.channels + 1, 255}):
             yield bytes((first,)) + US.pack(at) + good
         for first in range(one.channels):
-            if one.channels - first + 1 <= room:
+            if one.channels - first + 1 <= most:
                 yield bytes((first,)) + US.pack(at) + good * (one.channels - first + 1)
     limits = numbers(board, one)
     if limits is None:
@@ -427,6 +446,13 @@ def safe(board: Board, one: oracle.Transducer) -> bytes:
         return bytes(board.size(one))
     number = oracle.raw(one, one.attributes["safe"], board.descriptors.definitions)
     return board.packed(one, number)
+
+
+def unsafe(board: Board, one: oracle.Transducer) -> bytes:
+    """Return a value that an actuator takes and that is not the safe one, if there are any."""
+    safe_value = safe(board, one)
+    others = (value for _ in range(_TRIES) if (value := settable(board, one)) != safe_value)
+    return next(others, safe_value)
 
 
 def measured(board: Board, one: oracle.Transducer, since: int, due_us: int) -> int:

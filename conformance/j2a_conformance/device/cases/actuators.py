@@ -20,18 +20,18 @@ from ._board import (
     TransducerCase,
     around_range,
     check_time,
+    far_us,
+    fit,
     numbers,
+    room,
     safe,
     settable,
     slots,
     spread,
+    unsafe,
     wrong_sets,
 )
 
-# Times that none of us will see, also for who takes them for fewer bits or for a sign.
-_FAR_US: Final = (1 << 62, (1 << 63) - 1, 1 << 63, (1 << 63) + 12345, (1 << 64) - 1)
-_FAR_BITS: Final = (25, 33, 41, 49, 57)  # so much ahead of the clock: one in each byte
-_TRIES: Final = 100
 _CHANNELS: Final = 16  # of which each range is set
 
 
@@ -64,11 +64,11 @@ class Set(TransducerCase):
         return sorted({*every, 1, (most + 1) // 2, most} if at_us == 0 else {1, most})
 
     def _at_once(self, board: Board, one: oracle.Transducer) -> None:
-        room = (board.peer.longest - 11) // board.size(one)
+        most = room(board, one)
         now = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
         for at_us in (0, 1, None):
             for first in range(one.channels):
-                for count in self._counts(min(room, one.channels - first), at_us):
+                for count in self._counts(min(most, one.channels - first), at_us):
                     values = [settable(board, one) for _ in range(count)]
                     begin_us = board.time_us()
                     at = US.pack(begin_us if at_us is None else at_us)
@@ -158,8 +158,8 @@ class Set(TransducerCase):
         before = board.read(one, c.TRANSD_SAMPLE)
         now_us = board.time_us()
         due_us = now_us + DUE_US
-        for far_us in (*_FAR_US, *(now_us + (1 << bit) for bit in _FAR_BITS)):
-            for at_us in (due_us, far_us):
+        for at_far_us in far_us(now_us):
+            for at_us in (due_us, at_far_us):
                 value = settable(board, one)
                 board.write(one, c.TRANSD_SET, bytes((channel,)) + US.pack(at_us) + value)
         is_in_time = board.time_us() < due_us
@@ -172,10 +172,10 @@ class Set(TransducerCase):
     @staticmethod
     def _replaced_together(board: Board, one: oracle.Transducer) -> None:
         """Set all channels that fit for a time, and then some of them for another one."""
-        room = min(one.channels, (board.peer.longest - 11) // board.size(one))
-        parts = {(0, 1), (0, room), (room - 1, 1), (room // 2, room - room // 2), (0, room - 1)}
+        most = fit(board, one)
+        parts = {(0, 1), (0, most), (most - 1, 1), (most // 2, most - most // 2), (0, most - 1)}
         for first, count in sorted(part for part in parts if part[1]):
-            early, late = ([settable(board, one) for _ in range(room)] for _ in range(2))
+            early, late = ([settable(board, one) for _ in range(most)] for _ in range(2))
             begin_us = board.time_us()
             due_us = begin_us + DUE_US
             later_us = due_us + DUE_US
@@ -185,7 +185,7 @@ class Set(TransducerCase):
             is_in_time = board.time_us() < due_us
             board.wait_until(later_us + LATER_US)
             found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
-            for channel in range(room):
+            for channel in range(most):
                 is_late = first <= channel < first + count
                 time_us, raw = found[channel]
                 if raw != (late if is_late else early)[channel]:
@@ -221,22 +221,20 @@ class Watchdog(TransducerCase):
                     board.write(one, c.TRANSD_WATCHDOG, before)
 
     def _actuator(self, board: Board, one: oracle.Transducer) -> None:
-        safe_value = safe(board, one)
-        others = (value for _ in range(_TRIES) if (value := settable(board, one)) != safe_value)
-        value = next(others, safe_value)
+        safe_value, value = safe(board, one), unsafe(board, one)
         if value == safe_value:  # it has one value only
             return
-        fit = min(one.channels, (board.peer.longest - 11) // board.size(one))
+        count = fit(board, one)
         self._long(board, one, value)
         self._each_silence(board, one, value)
         is_first = one == board.actuators("watchdog")[0]
         for limit_ms in (*self._EXPIRE_MS, *[self._LONGEST_MS] * is_first):
             self._expire(board, one, value, limit_ms)
         board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
-        board.write(one, c.TRANSD_SET, bytes(9) + value * fit)
+        board.write(one, c.TRANSD_SET, bytes(9) + value * count)
         board.write(one, c.TRANSD_WATCHDOG, bytes(2))
         self._silence(board, self.LIMIT_MS * 2)  # 0 is never
-        self._same(board, one, board.read(one, c.TRANSD_SAMPLE), value, fit)
+        self._same(board, one, board.read(one, c.TRANSD_SAMPLE), value, count)
         board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
         for _ in range(5):
             self._silence(board, self.LIMIT_MS * 0.4)
@@ -244,7 +242,7 @@ class Watchdog(TransducerCase):
         if slots(board, one, sample)[0][1] != value:
             fail(f"{one.name} was made safe within the time of its watchdog", suspect=True)
         due_us = board.time_us() + self.LIMIT_MS * 4000
-        board.write(one, c.TRANSD_SET, b"\0" + US.pack(due_us) + value * fit)
+        board.write(one, c.TRANSD_SET, b"\0" + US.pack(due_us) + value * count)
         board.rewrite(one)
         begin_us = board.time_us()
         self._silence(board, self.LIMIT_MS * 2.6)

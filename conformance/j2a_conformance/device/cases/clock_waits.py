@@ -40,7 +40,7 @@ class Waits(ClockCase):
         """
         before = []
         for one in devices.actuators():
-            count = min(one.channels, (devices.peer.longest - 11) // devices.size(one))
+            count = transducers.fit(devices, one)
             values = b"".join(transducers.settable(devices, one) for _ in range(count))
             before.append((one, count, devices.read(one, c.TRANSD_SAMPLE)))
             devices.write(one, c.TRANSD_SET, struct.pack("<BQ", 0, due) + values)

@@ -12,11 +12,10 @@ from j2a_transports import TransportError
 from j2a_conformance._judge import Judged, fail
 from j2a_conformance.device._peer import MANY_ONLY, Peer, Request
 
-from ._board import Board, TransducerCase, safe, settable, slots
+from ._board import Board, TransducerCase, safe, slots, unsafe
 
 _LIMIT_MS: Final = 150
 _TIMES: Final = 5
-_TRIES: Final = 100
 _Make = Callable[[], Request]
 
 
@@ -63,10 +62,8 @@ class Heard(TransducerCase):
 
     @staticmethod
     def _keep(board: Board, one: oracle.Transducer, name: str, make: _Make) -> None:
-        safe_value = safe(board, one)
-        others = (value for _ in range(_TRIES) if (value := settable(board, one)) != safe_value)
-        value = next(others, safe_value)
-        if value == safe_value:  # it has one value only
+        value = unsafe(board, one)
+        if value == safe(board, one):  # it has one value only
             return
         board.write(one, c.TRANSD_SET, bytes(9) + value)
         board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", _LIMIT_MS))

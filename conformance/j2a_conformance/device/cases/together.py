@@ -17,11 +17,13 @@ from ._board import (
     US,
     Board,
     TransducerCase,
+    fit,
     measured,
     queued,
     safe,
     settable,
     slots,
+    unsafe,
 )
 from .limits import delay
 from .sif import frames
@@ -32,12 +34,6 @@ _LATE_MS: Final = 40
 _BEFORE_US: Final = 90_000  # shorter than each watchdog, longer than one may be late
 _LEAST_US: Final = 30_000
 _SPARE: Final = 2
-_TRIES: Final = 100
-
-
-def _fit(board: Board, one: oracle.Transducer) -> int:
-    """Return how many channels of an actuator one request sets."""
-    return min(one.channels, (board.peer.longest - 11) // board.size(one))
 
 
 def _set(board: Board, one: oracle.Transducer, due_us: int, values: list[bytes]) -> None:
@@ -98,15 +94,15 @@ class Unheard(TransducerCase):
         if not is_behind:  # what takes longer on a slow link is before each watchdog, too
             limits_ms = [limit_ms + (ahead_us - _BEFORE_US) // 1000 for limit_ms in limits_ms]
         since, due_us = board.seen, board.time_us() + ahead_us
-        values = {one.id: [settable(board, one) for _ in range(_fit(board, one))] for one in free}
+        values = {one.id: [settable(board, one) for _ in range(fit(board, one))] for one in free}
         for one in free:
             _set(board, one, due_us, values[one.id])
         for one in triggered:
             board.write(one, c.TRANSD_TRIGGER, US.pack(due_us))
         for one, limit_ms in zip(guarded, limits_ms, strict=True):
-            _set(board, one, 0, self._unsafe(board, one))
+            _set(board, one, 0, [unsafe(board, one)] * fit(board, one))
             if is_behind:
-                _set(board, one, due_us, self._unsafe(board, one))
+                _set(board, one, due_us, [unsafe(board, one)] * fit(board, one))
             board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", limit_ms))
         asked_us = board.time_us()
         silent_us = board.time_us()
@@ -119,13 +115,6 @@ class Unheard(TransducerCase):
             _was_set(board, one, due_us, values[one.id])
         for one in triggered:
             measured(board, one, since, due_us)
-
-    @staticmethod
-    def _unsafe(board: Board, one: oracle.Transducer) -> list[bytes]:
-        """Return values that are not the safe one, if there are any."""
-        safe_value = safe(board, one)
-        others = (value for _ in range(_TRIES) if (value := settable(board, one)) != safe_value)
-        return [next(others, safe_value)] * _fit(board, one)
 
     @staticmethod
     def _is_safe(
@@ -186,7 +175,7 @@ class AtOnce(TransducerCase):
         for one in triggered:
             board.write(one, c.TRANSD_TRIGGER, US.pack(due_us))
         values = {
-            one.id: [settable(board, one) for _ in range(_fit(board, one))] for one in actuators
+            one.id: [settable(board, one) for _ in range(fit(board, one))] for one in actuators
         }
         for one in actuators:
             _set(board, one, due_us, values[one.id])

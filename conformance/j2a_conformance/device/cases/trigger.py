@@ -1,7 +1,6 @@
 """TRIGGER: a sample at a time that the host says (J2A-TRANS)."""
 
 from itertools import permutations
-from typing import Final
 
 from j2a_spec import constants as c
 from j2a_spec import transducers as oracle
@@ -16,13 +15,10 @@ from ._board import (
     US,
     Board,
     TransducerCase,
+    far_us,
     measured,
     slots,
 )
-
-# Times that none of us will see, also for who takes them for fewer bits or for a sign.
-_FAR_US: Final = (1 << 62, (1 << 63) - 1, 1 << 63, (1 << 63) + 12345, (1 << 64) - 1)
-_FAR_BITS: Final = (25, 33, 41, 49, 57)  # so much ahead of the clock: one in each byte
 
 
 class Trigger(TransducerCase):
@@ -61,8 +57,8 @@ class Trigger(TransducerCase):
         That is so long after the start; a negative one stands for the time 0.
         """
         since, now_us = board.seen, board.time_us()
-        for far_us in (*_FAR_US, *(now_us + (1 << bit) for bit in _FAR_BITS)):
-            board.write(one, c.TRANSD_TRIGGER, US.pack(far_us))
+        for at_us in far_us(now_us):
+            board.write(one, c.TRANSD_TRIGGER, US.pack(at_us))
         board.write(one, c.TRANSD_TRIGGER, US.pack(now_us + DUE_US))
         self._disturb(board, one)
         due_us = now_us + DUE_US
