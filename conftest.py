@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -58,6 +59,7 @@ if (
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).parent
+_GONE_S = 30
 # The sources of the Makefile, those of the core but the tables replaced by one file.
 WITH_ONE_CORE = (
     "{} $(TABLES) $(wildcard $(PORT_DIR)/*.[cS]) $(PORT_SOURCES) $(if $(OWN_MAIN),,apps/main.c)"
@@ -222,6 +224,30 @@ def _missing(what: str) -> NoReturn:
 def missing() -> Callable[[str], NoReturn]:
     """missing("cc is missing: install ...") skips the test, or fails it where tools must be."""
     return _missing
+
+
+def _runs(pid: int) -> bool:
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+@pytest.fixture(scope="session")
+def gone() -> Callable[[int], None]:
+    """gone(pid) waits until a process has ended.
+
+    Where nobody waits for it, its entry stays until init looks, on a busy machine for seconds.
+    """
+
+    def check(pid: int) -> None:
+        deadline = time.monotonic() + _GONE_S
+        while _runs(pid):
+            assert time.monotonic() < deadline, f"process {pid} is still there"
+            time.sleep(0.01)
+
+    return check
 
 
 @pytest.fixture(scope="session")

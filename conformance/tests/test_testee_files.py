@@ -12,8 +12,6 @@ from j2a_conformance.device._testee import load_testee
 
 from firmware.verify.packages import PACKAGES as INSTALLED
 
-from .gone import check_gone
-
 URL = 'url = "exec:true"'
 LEAVES_A_CHILD = "sleep 311 & echo $! > pid; "
 
@@ -32,11 +30,11 @@ def testee(tmp_path):
 
 
 @pytest.fixture
-def gone(tmp_path):
+def child_gone(tmp_path, gone):
     """Wait until the process has ended whose id a command wrote into the file `pid`."""
 
     def wait():
-        check_gone(int((tmp_path / "pid").read_text()))
+        gone(int((tmp_path / "pid").read_text()))
 
     return wait
 
@@ -128,14 +126,14 @@ def test_hints_name_the_packages_that_the_project_installs():
     assert {program: INSTALLED.get(program, program) for program in PACKAGES} == PACKAGES
 
 
-def test_a_server_that_ignores_signals_and_prints_without_end_is_ended(testee, gone):
+def test_a_server_that_ignores_signals_and_prints_without_end_is_ended(testee, child_gone):
     code = (
         f"trap : TERM INT; {LEAVES_A_CHILD} echo see https://x/y; echo at tcp://127.0.0.1:5; "
         "while :; do echo log log log log log log log log; done"
     )
     with testee(f"title = 'x'\n{script('serve', code)}").started() as url:
         assert url == "tcp://127.0.0.1:5"
-    gone()
+    child_gone()
 
 
 def test_a_server_that_logs_does_not_wait_for_a_reader(testee, tmp_path):
@@ -147,11 +145,11 @@ def test_a_server_that_logs_does_not_wait_for_a_reader(testee, tmp_path):
             time.sleep(0.01)
 
 
-def test_what_a_server_left_behind_is_ended(testee, gone):
+def test_what_a_server_left_behind_is_ended(testee, child_gone):
     code = f"{LEAVES_A_CHILD} echo tcp://127.0.0.1:5"
     with testee(f"title = 'x'\n{script('serve', code)}").started() as url:
         assert url == "tcp://127.0.0.1:5"
-    gone()
+    child_gone()
 
 
 @pytest.mark.parametrize(
@@ -169,7 +167,7 @@ def test_a_server_without_a_url(code, words, testee, monkeypatch):
     assert words in str(error.value)
 
 
-def test_a_build_that_does_not_end_is_ended(testee, gone, monkeypatch):
+def test_a_build_that_does_not_end_is_ended(testee, child_gone, monkeypatch):
     monkeypatch.setattr(_testee, "_BUILD_S", 0.5)
     build = script("build", f"echo oh; {LEAVES_A_CHILD} wait")
     with (
@@ -177,7 +175,7 @@ def test_a_build_that_does_not_end_is_ended(testee, gone, monkeypatch):
         testee(f"title = 'x'\n{URL}\n{build}").started(),
     ):
         pass
-    gone()
+    child_gone()
 
 
 def test_a_build_that_fails_shows_what_it_printed(testee):

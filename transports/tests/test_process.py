@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -235,7 +236,7 @@ def test_a_child_of_another_user_is_left_alone(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.usefixtures("never_ends_by_itself")
-def test_a_terminated_child_takes_its_children_along() -> None:
+def test_a_terminated_child_takes_its_children_along(gone: Callable[[int], None]) -> None:
     child = j2a_transports.open("exec:sh -c 'sleep 1000 & echo $!; wait'")
     line = b""
     while not line.endswith(b"\n"):
@@ -243,19 +244,7 @@ def test_a_terminated_child_takes_its_children_along() -> None:
     grandchild = int(line)
     os.kill(grandchild, 0)
     child.close()
-    deadline = time.monotonic() + PATIENCE_S
-    while alive(grandchild) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert not alive(grandchild)
-
-
-def alive(pid: int) -> bool:
-    """Whether a process runs; one that ended and was not waited for does not."""
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
+    gone(grandchild)
 
 
 TESTEE = """

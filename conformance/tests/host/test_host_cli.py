@@ -11,8 +11,6 @@ import pytest
 from j2a_conformance.cli import main
 from j2a_conformance.reports import _json
 
-from conformance.tests.gone import check_gone
-
 # A host program that connects and does what the text says.
 CONNECTS = """
 import socket, sys, time
@@ -172,7 +170,7 @@ def test_a_host_that_somebody_starts_by_hand():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_suite_the_program_and_what_that_started(number, tmp_path):
+def test_a_signal_ends_the_suite_the_program_and_what_that_started(number, tmp_path, gone):
     pid_file = tmp_path / "pid"
     code = (
         "import pathlib, subprocess\n"
@@ -190,11 +188,11 @@ def test_a_signal_ends_the_suite_the_program_and_what_that_started(number, tmp_p
             suite.kill()
     assert suite.returncode == 128 + number, err
     assert "Traceback" not in out + err
-    check_gone(int(pid_file.read_text()))
+    gone(int(pid_file.read_text()))
 
 
-def test_what_a_program_left_behind_is_ended(tmp_path):
+def test_what_a_program_left_behind_is_ended(tmp_path, gone):
     pid_file = tmp_path / "pid"
     code = f"sleep 311 & echo $! > {pid_file}; exit 0"
     assert main(["host", "--", "sh", "-c", code]) == 3
-    check_gone(int(pid_file.read_text()))
+    gone(int(pid_file.read_text()))
