@@ -326,9 +326,15 @@ const char *j2a_definitions(void) {
 /* ------------------------------------------------------------------------- properties ------ */
 
 #if J2A_WITH_PROPERTIES
-/* An empty key would end the list. */
+/* An empty key would end the list, and no host reads one with a key that comes twice. */
+#ifdef __GNUC__
+#define J2A_IS_CAPS(key) (sizeof(J2A_PROPERTY_CAPS "") > 1 && !__builtin_strcmp(key, "j2a.caps"))
+#else
+#define J2A_IS_CAPS(key) 0
+#endif
 #define J2A_PROPERTY(key, value) \
-    extern char j2a_property_is_empty[sizeof key > 1 && sizeof value > 1 ? 1 : -1];
+    extern char j2a_property_is_empty[sizeof key > 1 && sizeof value > 1 ? 1 : -1]; \
+    extern char j2a_caps_is_there_already[J2A_IS_CAPS(key) ? -1 : 1];
 #include "properties.def"
 #undef J2A_PROPERTY
 #define J2A_PROPERTY(key, value) key "\0" value "\0"

@@ -51,40 +51,41 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
 #define J2A_PROPERTY_ROOM
 #endif
 
-/* The capabilities that the core announces (J2A-CAP-001): a token behind each that is built in, and of the first
- * one no space. */
-#if J2A_WITH_INTERFACE
-#define J2A_TOKEN_INTERFACE "interface"
-#else
+/* The parts that are built in: what the core announces of them (J2A-CAP-001), of the first one without a space, and
+ * the built-in functions in opcode order, as CALL(name on the wire, C function) or MANY(...). */
+/* From capabilities.toml by `python -m j2a_spec.generate`. */
+#if !J2A_WITH_INTERFACE
 #define J2A_TOKEN_INTERFACE
+#else
+#define J2A_TOKEN_INTERFACE "interface"
 #endif
-#if J2A_WITH_BOOT
+#if !J2A_WITH_BOOT
+#define J2A_TOKEN_BOOT
+#elif J2A_WITH_INTERFACE
 #define J2A_TOKEN_BOOT " boot"
 #else
-#define J2A_TOKEN_BOOT
+#define J2A_TOKEN_BOOT "boot"
 #endif
-#if J2A_WITH_TRANSDUCERS && J2A_WITH_INTERFACE
-#define J2A_TOKEN_TRANSDUCERS " transducers"
-#elif J2A_WITH_TRANSDUCERS
-#define J2A_TOKEN_TRANSDUCERS "transducers"
-#else
+#if !J2A_WITH_TRANSDUCERS
 #define J2A_TOKEN_TRANSDUCERS
-#endif
-#if J2A_WITH_SYNC && (J2A_WITH_INTERFACE || J2A_WITH_TRANSDUCERS)
-#define J2A_TOKEN_CLOCK " clock"
-#elif J2A_WITH_SYNC
-#define J2A_TOKEN_CLOCK "clock"
+#elif J2A_WITH_INTERFACE || J2A_WITH_BOOT
+#define J2A_TOKEN_TRANSDUCERS " transducers"
 #else
-#define J2A_TOKEN_CLOCK
+#define J2A_TOKEN_TRANSDUCERS "transducers"
 #endif
-#if J2A_WITH_INTERFACE || J2A_WITH_TRANSDUCERS || J2A_WITH_SYNC
-#define J2A_PROPERTY_CAPS "j2a.caps\0" J2A_TOKEN_INTERFACE J2A_TOKEN_BOOT J2A_TOKEN_TRANSDUCERS J2A_TOKEN_CLOCK "\0"
+#if !J2A_WITH_SYNC
+#define J2A_TOKEN_CLOCK
+#elif J2A_WITH_INTERFACE || J2A_WITH_BOOT || J2A_WITH_TRANSDUCERS
+#define J2A_TOKEN_CLOCK " clock"
+#else
+#define J2A_TOKEN_CLOCK "clock"
+#endif
+#if J2A_WITH_INTERFACE || J2A_WITH_BOOT || J2A_WITH_TRANSDUCERS || J2A_WITH_SYNC
+#define J2A_PROPERTY_CAPS "j2a.caps\0" J2A_TOKEN_INTERFACE J2A_TOKEN_BOOT J2A_TOKEN_TRANSDUCERS \
+     J2A_TOKEN_CLOCK "\0"
 #else
 #define J2A_PROPERTY_CAPS
 #endif
-
-/* The built-in functions in opcode order, as CALL(name on the wire, C function) or MANY(...). */
-/* From capabilities.toml by `python -m j2a_spec.generate`. */
 #if J2A_WITH_MAPPING
 #define J2A_IF_MAPPING(text) text
 #else

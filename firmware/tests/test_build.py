@@ -3,6 +3,7 @@
 `make test` has each pair of two options, the exhaustive run every combination.
 """
 
+import ast
 import itertools
 import os
 import re
@@ -197,6 +198,54 @@ def test_empty_or_repeated_names_do_not_compile(make, tmp_path, functions, prope
     result = make(goal, APP="names", APP_DIR=str(folder), OUT=str(tmp_path))
     assert result.returncode != 0
     assert message in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("parts", "fits"),
+    [("", True)] + [(part, False) for part in ("INTERFACE", "INTERFACE BOOT", "TRANSDUCERS", "SYNC")],
+)
+def test_tokens_beside_those_of_the_core_do_not_compile(make, tmp_path, parts, fits):
+    folder = app(tmp_path / "app", properties='J2A_PROPERTY("j2a.caps", "acme.turbo")\n')
+    options = " ".join(f"-DJ2A_WITH_{part}=1" for part in parts.split())
+    goal = f"{tmp_path}/tokens.obj/j2a_table.o"
+    result = make(goal, APP="tokens", APP_DIR=str(folder), OUT=str(tmp_path), OPTIONS=options)
+    assert (result.returncode == 0) is fits, result.stderr
+    assert fits or "j2a_caps_is_there_already" in result.stderr
+
+
+ANNOUNCED = {part.id for part in CAPABILITIES.values() if part.token}
+
+
+@pytest.mark.parametrize(
+    "built",
+    [
+        built
+        for count in range(len(ANNOUNCED) + 1)
+        for built in itertools.combinations(sorted(ANNOUNCED), count)
+        if all(ANNOUNCED & set(CAPABILITIES[part].needs) <= set(built) for part in built)
+    ],
+    ids="-".join,
+)
+def test_tokens_of_each_combination_of_parts(need, built):
+    """J2A-CAP-001: one space between two, whichever parts are built in."""
+    need("gcc")
+    options = [f"-D{CAPABILITIES[part].option}={int(part in built)}" for part in ANNOUNCED]
+    folders = [FIRMWARE / "core", FIRMWARE / "ports/posix"]
+    done = subprocess.run(
+        ["gcc", "-E", "-P", *options, *(f"-I{folder}" for folder in folders), "-"],
+        input='#include "j2a_table.h"\nJ2A_PROPERTY_CAPS ""',
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    value = ast.literal_eval(done.stdout.splitlines()[-1])
+    key, tokens, *rest = value.split("\0") if value else ("j2a.caps", "", "")
+    announced = sorted(tokens.split(" ")) if value else []
+    assert (key, announced, rest) == (
+        "j2a.caps",
+        sorted(CAPABILITIES[part].token for part in built),
+        [""],
+    )
 
 
 def test_function_of_the_wrong_kind_does_not_compile(make, tmp_path):

@@ -58,23 +58,38 @@ def options(text: str) -> str:
 
 
 def builtins(text: str) -> str:
-    """Return `j2a_table.h` with the list of the built-in functions; raises as `options`."""
-    lines = []
+    """Return `j2a_table.h` with the tokens and built-in functions; raises as `options`."""
+    lines = [*_tokens()]
     for part in CAPABILITIES.values():
         if any(function.capability == part.id for function in FUNCTIONS):
-            name = _if(part.id)
+            name = _macro("IF", part.id)
             lines += [f"#if {part.option}", f"#define {name}(text) text"]
             lines += ["#else", f"#define {name}(text)", "#endif"]
     lines.append("#define J2A_BUILTINS(CALL, MANY) \\")
     for function in FUNCTIONS:
         entry = f"{function.kind.upper()}({function.name}, {function.symbol})"
         lines.append(
-            f"    {_if(function.capability)}({entry}) \\"
+            f"    {_macro('IF', function.capability)}({entry}) \\"
             if function.capability
             else f"    {entry} \\"
         )
     lines[-1] = lines[-1].removesuffix(" \\")
     return _filled(text, lines)
+
+
+def _tokens() -> Iterator[str]:
+    """Yield the lines of the property j2a.caps: a space is before each token but the first."""
+    announced = [part for part in CAPABILITIES.values() if part.token]
+    for place, part in enumerate(announced):
+        name = _macro("TOKEN", part.id)
+        yield from (f"#if !{part.option}", f"#define {name}")
+        if before := [other.option for other in announced[:place]]:
+            yield from (f"#elif {' || '.join(before)}", f'#define {name} " {part.token}"')
+        yield from ("#else", f'#define {name} "{part.token}"', "#endif")
+    yield from _wrapped(f"#if {' || '.join(part.option for part in announced)}")
+    names = " ".join(_macro("TOKEN", part.id) for part in announced)
+    yield from _wrapped(f'#define J2A_PROPERTY_CAPS "j2a.caps\\0" {names} "\\0"')
+    yield from ("#else", "#define J2A_PROPERTY_CAPS", "#endif")
 
 
 def _filled(text: str, lines: list[str]) -> str:
@@ -84,8 +99,8 @@ def _filled(text: str, lines: list[str]) -> str:
     return text
 
 
-def _if(capability: str) -> str:
-    return f"J2A_IF_{capability.upper().replace('-', '_')}"
+def _macro(kind: str, capability: str) -> str:
+    return f"J2A_{kind}_{capability.upper().replace('-', '_')}"
 
 
 def _option(part: Capability) -> Iterator[str]:
