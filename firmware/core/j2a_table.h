@@ -201,7 +201,9 @@ J2A_BUILTINS(J2A_TAKEN, J2A_TAKEN)
  * because C has no empty arrays. */
 #define J2A_TABLE_BEGIN const j2a_entry J2A_FLASH j2a_functions[] = {
 #define J2A_TABLE_END J2A_NO_ENTRY}; \
-    const uint8_t j2a_function_count = J2A_BUILTIN_COUNT + sizeof j2a_functions / sizeof j2a_functions[0] - 1;
+    enum { J2A_FUNCTION_COUNT = J2A_BUILTIN_COUNT + sizeof j2a_functions / sizeof j2a_functions[0] - 1 }; \
+    extern char j2a_functions_are_more_than_255[J2A_FUNCTION_COUNT <= 255 ? 1 : -1]; \
+    const uint8_t j2a_function_count = J2A_FUNCTION_COUNT;
 
 /* Behind a table whose functions use no types of their own. */
 #if J2A_WITH_INTERFACE

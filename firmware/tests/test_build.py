@@ -182,6 +182,23 @@ def test_map_too_long_for_a_frame(make, tmp_path):
         assert fits or "j2a_names_longer_than_a_payload" in result.stderr
 
 
+@pytest.mark.parametrize("mapping", [0, 1])
+def test_more_functions_than_a_device_can_count(make, tmp_path, mapping):
+    room = (
+        255 - len(c.BUILTINS) - mapping
+    )  # the map's place is reserved, a2jGetInterface is one more
+    for count in (room, room + 1):
+        functions = "".join(f"J2A_CALL(f{i}, f{i})\n" for i in range(count))
+        folder = app(tmp_path / f"app{count}", functions)
+        goal = f"{tmp_path}/many{count}.obj/j2a_table.o"
+        options = f"-DJ2A_WITH_MAPPING={mapping} -DJ2A_WITH_INTERFACE={mapping} -Wno-error=overflow"
+        result = make(
+            goal, APP=f"many{count}", APP_DIR=str(folder), OUT=str(tmp_path), OPTIONS=options
+        )
+        assert (result.returncode == 0) is (count == room), result.stderr
+        assert count == room or "j2a_functions_are_more_than_255" in result.stderr
+
+
 @pytest.mark.parametrize(
     ("functions", "properties", "message"),
     [
@@ -202,7 +219,8 @@ def test_empty_or_repeated_names_do_not_compile(make, tmp_path, functions, prope
 
 @pytest.mark.parametrize(
     ("parts", "fits"),
-    [("", True)] + [(part, False) for part in ("INTERFACE", "INTERFACE BOOT", "TRANSDUCERS", "SYNC")],
+    [("", True)]
+    + [(part, False) for part in ("INTERFACE", "INTERFACE BOOT", "TRANSDUCERS", "SYNC")],
 )
 def test_tokens_beside_those_of_the_core_do_not_compile(make, tmp_path, parts, fits):
     folder = app(tmp_path / "app", properties='J2A_PROPERTY("j2a.caps", "acme.turbo")\n')
