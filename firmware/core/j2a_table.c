@@ -327,7 +327,7 @@ const char *j2a_definitions(void) {
 
 #if J2A_WITH_PROPERTIES
 /* An empty key would end the list, and no host reads one with a key that comes twice. */
-#ifdef __GNUC__
+#if defined __GNUC__ && !defined __FRAMAC__ /* the proof's front end has no such constants */
 #define J2A_IS_CAPS(key) (sizeof(J2A_PROPERTY_CAPS "") > 1 && !__builtin_strcmp(key, "j2a.caps"))
 #else
 #define J2A_IS_CAPS(key) 0
