@@ -2,10 +2,11 @@
 
 What flows in: the directive `c-api` with the path of a header as seen from the root of the project.
 What flows out: the header's opening comment as text, and each declaration that follows a comment
-as an entry of Sphinx's C domain, with that comment as its text. Rules: a line of a comment that
-begins with a parameter's name and a colon describes it; names with brackets, such as j2a_task(),
-and names of options are links where they are documented; a banner of dashes is a heading. A header
-with nothing to document is a warning.
+as an entry of Sphinx's C domain, with that comment as its text; of several declarations behind one
+comment, the later ones refer to the first. Rules: a line of a comment that begins with a
+parameter's name and a colon describes it; names with an underscore are links where they are
+documented, and else code; a banner of dashes is a heading. A header with nothing to document is a
+warning.
 """
 
 import re
@@ -31,9 +32,8 @@ REQUIRED = re.compile(r"^#ifndef (J2A_\w+)\n#error ", re.MULTILINE)
 MACRO = re.compile(r"^#define ((?:J2A|j2a|BOARD)_\w+(?:\([^)]*\))?)", re.MULTILINE)
 PARAMETER = re.compile(r"^((?:[a-z]\w*, )*[a-z]\w*): ", re.MULTILINE)
 NAME = re.compile(
-    r"(?<![\w`])(j2a_\w+\(\)|port_\w+\(\)|board_\w+\(\)|J2A_[A-Z_0-9]*[A-Z0-9])(?!\w)"
+    r"(?<![\w`*/-])(\*[a-z]+\b|\*?[A-Za-z]\w*_\w+(?:\([\w, ]*\)|\.[ch]\b)?|0x[0-9A-F]+)(?!\w|`)"
 )
-WORD = re.compile(r"(?<![\w`*])(\*?[a-z]+(?:_[a-z0-9]+)+|0x[0-9A-F]+)(?![\w`(])")
 TYPE_NOTE = "The form of such a function, and the name of its type."
 GUARD = re.compile(r"_H$")
 
@@ -109,11 +109,10 @@ def _marked(text: str, known: dict[str, str]) -> str:
     """Return the text as Markdown, with links for what is documented and code for other names."""
 
     def replace(match: re.Match[str]) -> str:
-        kind = known.get(match[1].removesuffix("()"))
         name = match[1].removesuffix("()")
-        return f"{{c:{kind}}}`{name}`" if kind else f"`{match[1]}`"
+        return f"{{c:{known[name]}}}`{name}`" if name in known else f"`{match[1]}`"
 
-    return NAME.sub(replace, WORD.sub(r"`\1`", text.replace("<", "&lt;")))
+    return NAME.sub(replace, text.replace("<", "&lt;"))
 
 
 def _paragraphs(comment: str, known: dict[str, str]) -> Iterator[str]:
@@ -138,7 +137,7 @@ class CApi(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return what the header documents."""
         header = ROOT / self.arguments[0]
-        self.env.note_dependency(str(header))
+        self.env.note_reread()  # the links of a page depend on all headers
         opening, parts = read(header)
         if not any(isinstance(part, Entry) for part in parts):
             LOG.warning(
@@ -146,15 +145,18 @@ class CApi(SphinxDirective):
             )
         known = _known()
         lines = _marked(opening, known).splitlines()
+        first: dict[str, str] = {}
         for part in parts:
             lines.append("")
             if isinstance(part, str):
-                lines += [f":::{{rubric}} {part.capitalize()}", ":::"]
+                lines += [f":::{{rubric}} {part[:1].upper()}{part[1:]}", ":::"]
                 continue
+            name = first.setdefault(part.comment, part.name)
+            text = part.comment if name == part.name else f"See {name}."
             directive = "c:function" if part.kind == "function" else f"c:{part.kind}"
             note = [_marked(part.note, known), ""] if part.note else []
             lines += [f"::::{{{directive}}} {part.signature}", "", *note]
-            lines += [*_paragraphs(part.comment, known), "", "::::"]
+            lines += [*_paragraphs(text, known), "", "::::"]
         holder = nodes.container()
         self.state.nested_parse(StringList(lines, str(header)), self.content_offset, holder)
         return list(holder.children)
@@ -162,6 +164,7 @@ class CApi(SphinxDirective):
 
 DOCUMENTED = (
     "firmware/core/j2a.h",
+    "firmware/core/j2a_numbers.h",
     "firmware/core/j2a_options.h",
     "firmware/core/j2a_port.h",
     "firmware/ports/common/board.h",

@@ -13,6 +13,7 @@ With `:start:` the start byte, which stands before every frame and in no grammar
 
 from dataclasses import dataclass, replace
 from html import escape
+from itertools import starmap
 from typing import Any, ClassVar
 
 import construct as cs
@@ -22,6 +23,7 @@ from j2a_spec import constants as c
 from j2a_spec.grammar import GRAMMARS
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from table_nodes import row, table
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,7 @@ def _field(named: Any, inner: Any) -> Field:
 def _width(inner: Any, size: int | None) -> str:
     if size is not None:
         kind = inner.fmtstr if isinstance(inner, cs.FormatField) else ""
-        sign = ", two's complement" if kind[1:].islower() else ""
+        sign = ", two's complement" if kind.endswith(("b", "h", "i", "l", "q")) else ""
         order = ", least significant first" if kind.startswith("<") and size > 1 else ""
         return f"{size} byte{'s' * (size != 1)}{sign}{order}"
     if isinstance(inner, cs.StringEncoded):
@@ -115,6 +117,7 @@ class PacketFigure(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the boxes and the table."""
+        self.env.note_reread()
         name = self.arguments[0]
         if name not in GRAMMARS:
             raise self.error(f"no grammar {name!r}; there is {', '.join(sorted(GRAMMARS))}")
@@ -124,23 +127,15 @@ class PacketFigure(SphinxDirective):
 def figure(name: str, *, start: bool) -> list[nodes.Node]:
     """Return the boxes and the table of the grammar `name`, with the start byte if `start`."""
     boxes = ((START,) if start else ()) + fields(GRAMMARS[name])
-    return [packet_figure(name=name, fields=boxes), _table(boxes)]
+    head, *told = rows(boxes)
+    words = table(dict(zip(head, (15, 25, 60), strict=True)), starmap(row, told), "packet-fields")
+    return [packet_figure(name=name, fields=boxes), words]
 
 
 def rows(boxes: tuple[Field, ...]) -> list[tuple[str, str, str]]:
     """Return the head and the rows of the table that says in words what the boxes show."""
     told = [(box.name, box.width, box.meaning + "; repeated" * box.repeated) for box in boxes]
     return [("field", "width", "meaning"), *told]
-
-
-def _table(boxes: tuple[Field, ...]) -> nodes.table:
-    group = nodes.tgroup("", *(nodes.colspec(colwidth=w) for w in (15, 25, 60)), cols=3)
-    head, body = nodes.thead(), nodes.tbody()
-    for index, row in enumerate(rows(boxes)):
-        entries = [nodes.entry("", nodes.paragraph("", text)) for text in row]
-        (body if index else head).append(nodes.row("", *entries))
-    group += [head, body]
-    return nodes.table("", group, classes=["packet-fields"])
 
 
 def boxes_html(name: str, boxes: tuple[Field, ...]) -> str:

@@ -9,22 +9,13 @@ import construct as cs
 import pytest
 from j2a_spec import constants as c
 from j2a_spec.grammar import ERROR_PAYLOAD, GRAMMARS, MANY_REPLY, MANY_REQUEST, PACKET
-from sphinx.application import Sphinx
-from sphinx.util.docutils import docutils_namespace, patch_docutils
+
+from docs.tests.one_page import EXTENSIONS, build
 
 ROOT = Path(__file__).parents[2]
-EXTENSIONS = str(ROOT / "docs" / "_ext")
-sys.path.insert(0, EXTENSIONS)
+sys.path.insert(0, str(EXTENSIONS))
 
 import packet_figure as pf  # noqa: E402  found through the line above
-
-CONF = f"""
-import sys
-sys.path.insert(0, {EXTENSIONS!r})
-extensions = ["myst_parser", "packet_figure", "requirement_ids"]
-nitpicky = True
-smartquotes = False
-"""
 
 
 class Boxes(HTMLParser):
@@ -42,22 +33,6 @@ class Boxes(HTMLParser):
     def handle_data(self, data):
         if self.items:
             self.items[-1][1] += data + " "
-
-
-def build(folder, page, builder="html"):
-    """Build one page; return its text and the warnings."""
-    source = folder / "source"
-    source.mkdir()
-    (source / "conf.py").write_text(CONF)
-    (source / "index.md").write_text(page)
-    warnings = folder / "warnings.txt"
-    with warnings.open("w") as stream, patch_docutils(), docutils_namespace():
-        app = Sphinx(
-            source, source, folder / "out", folder / "trees", builder, status=None, warning=stream
-        )
-        app.build()
-    [output] = folder.glob("out/index.*")
-    return output.read_text(), warnings.read_text()
 
 
 def test_widths_of_a_frame_are_those_of_the_wire():
@@ -98,6 +73,11 @@ def test_every_field_has_a_meaning(name):
 def test_a_number_with_a_sign_is_told():
     [rate] = [box for box in pf.fields(GRAMMARS["clock-status"]) if box.name == "rate"]
     assert rate.width == "4 bytes, two's complement, least significant first"
+
+
+def test_a_floating_point_number_is_no_two_s_complement():
+    [box] = pf.fields(cs.Struct("ratio" / cs.Float32l))
+    assert box.width == "4 bytes, least significant first"
 
 
 def test_the_specification_has_each_figure_as_a_table_for_readers_of_its_source():
