@@ -15,8 +15,10 @@ LONG = 44
 """Characters in a row from which on it does not fit side by side into 390 pixels."""
 
 
-def label(_app: Sphinx, doctree: nodes.document, _page: str) -> None:
+def label(app: Sphinx, doctree: nodes.document, _page: str) -> None:
     """Label the cells of all tables with long rows."""
+    if app.builder.format != "html":
+        return
     for group in doctree.findall(nodes.tgroup):
         rows = [row for body in group.findall(nodes.tbody) for row in body.findall(nodes.row)]
         heads = [
@@ -35,6 +37,6 @@ def label(_app: Sphinx, doctree: nodes.document, _page: str) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Have it done to each page of HTML."""
+    """Have it done to each page."""
     app.connect("doctree-resolved", label)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
