@@ -10,13 +10,14 @@ all kills but one, are those of the last `--write`.
 import json
 from collections import Counter
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from docutils import nodes
 from j2a_spec.requirements import Requirement, load
 from requirement_ids import link, linked
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from table_nodes import row, table
 
 MATRIX = Path(__file__).resolve().parents[2] / "conformance" / "mutants" / "matrix.json"
 TARGETS = {"core": "the C core", "device": "the Python Device", "host": "the Python clients"}
@@ -25,24 +26,13 @@ TARGETS = {"core": "the C core", "device": "the Python Device", "host": "the Pyt
 class KillMatrix(SphinxDirective):
     """The directive."""
 
-    option_spec: ClassVar[dict[str, Any]] = {}
-
     def run(self) -> list[nodes.Node]:
         """Return the sentence and the table."""
-        self.env.note_dependency(str(MATRIX))
+        self.env.note_reread()
         matrix = json.loads(MATRIX.read_text("utf-8"))
         rows = [_row(requirement, matrix) for requirement in load().values()]
-        group = nodes.tgroup(
-            "",
-            *(nodes.colspec(colwidth=width) for width in (20, 80)),
-            nodes.thead("", nodes.row("", _head("requirement"), _head("mutants and what kills"))),
-            nodes.tbody("", *rows),
-            cols=2,
-        )
-        return [
-            nodes.paragraph("", summary(matrix)),
-            nodes.table("", group, classes=["requirements"]),
-        ]
+        widths = {"requirement": 20, "mutants and what kills": 80}
+        return [nodes.paragraph("", summary(matrix)), table(widths, rows, "requirements")]
 
 
 def summary(matrix: dict[str, Any]) -> str:
@@ -70,21 +60,17 @@ def _row(requirement: Requirement, matrix: dict[str, Any]) -> nodes.row:
             found.append(nodes.paragraph("", "", *linked(text)))
     if requirement.exception:
         found.append(nodes.paragraph("", f"Not observable: {requirement.exception}"))
-    name = nodes.paragraph("", "", link(requirement.id))
-    return nodes.row("", nodes.entry("", name), nodes.entry("", *found))
+    return row([nodes.paragraph("", "", link(requirement.id))], found)
 
 
 def _mutant(mutant: dict[str, Any]) -> list[nodes.Node]:
     what = nodes.paragraph(
         "", "", nodes.literal("", mutant["id"]), nodes.Text(f" {mutant['what']}")
     )
-    also = f"; {len(mutant['also'])} other cases fail too" if mutant["also"] else ""
-    killers = f"killed by {', '.join(mutant['killed_by']) or 'nothing'}{also}"
+    killers = f"killed by {', '.join(mutant['killed_by']) or 'nothing'}"
+    if others := len(mutant["also"]):
+        killers += f"; {others} other cases fail too" if others > 1 else "; 1 other case fails too"
     return [what, nodes.paragraph("", killers, classes=["facts"])]
-
-
-def _head(text: str) -> nodes.entry:
-    return nodes.entry("", nodes.paragraph("", text))
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

@@ -82,6 +82,7 @@ class ProgramHelp(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the block."""
+        self.env.note_reread()
         program, *arguments = self.arguments
         try:
             text = help_text(program, *arguments)

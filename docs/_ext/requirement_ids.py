@@ -9,6 +9,7 @@ in a Markdown file draws that packet figure, in the place of a table that follow
 
 import re
 from collections.abc import Iterator
+from itertools import chain
 from typing import Any, ClassVar
 
 from docutils import nodes
@@ -25,11 +26,12 @@ from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.transforms import SphinxTransform
 from sphinx.util.docutils import SphinxDirective
+from table_nodes import row, table
 
 ID = re.compile(r"\bJ2A-[A-Z]+-\d{3}\b")
 FIGURE = re.compile(r"<!-- figure: (\S+) -->")
 KEPT = (nodes.strong, nodes.reference, addnodes.pending_xref, nodes.literal_block, nodes.title)
-HEADS = ("id", "requirement")
+WIDTHS = {"id": 20, "requirement": 80}
 
 
 def link(name: str) -> addnodes.pending_xref:
@@ -88,6 +90,7 @@ class Figures(SphinxTransform):
         for comment in comments:
             match = FIGURE.search(comment.rawsource or comment.astext())
             if match:
+                self.env.note_reread()
                 parent = comment.parent
                 after = parent.index(comment) + 1
                 if after < len(parent) and isinstance(parent[after], nodes.table):
@@ -98,20 +101,18 @@ class Figures(SphinxTransform):
 class RequirementsTable(SphinxDirective):
     """The directive `requirements-table`: every requirement with its level, role and source."""
 
-    option_spec: ClassVar[dict[str, Any]] = {}
-
     def run(self) -> list[nodes.Node]:
         """Return the table, level after level in the order in which they first appear."""
+        self.env.note_reread()
         cases, hosts = coverage(), host_coverage()
-        levels: dict[str, list[nodes.Node]] = {}
+        levels: dict[str, list[nodes.row]] = {}
         for r in load().values():
             facts = f"Level {r.level}, binds {r.role}, from {r.source}. {_proof(cases[r.id])}"
             if r.role == "both":
                 facts += f" For hosts: {hosts[r.id]}."
-            text = _entry(r.text)
-            text += nodes.paragraph("", "", nodes.Text(f"{facts} "), _page(r.id), classes=["facts"])
-            levels.setdefault(r.level, []).append(nodes.row("", _entry(r.id), text))
-        return [_table([row for rows in levels.values() for row in rows])]
+            more = nodes.paragraph("", "", nodes.Text(f"{facts} "), _page(r.id), classes=["facts"])
+            levels.setdefault(r.level, []).append(row([_line(r.id)], [_line(r.text), more]))
+        return [table(WIDTHS, chain.from_iterable(levels.values()), "requirements")]
 
 
 def _page(name: str) -> addnodes.pending_xref:
@@ -141,6 +142,7 @@ class ConformanceCases(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return a definition list."""
+        self.env.note_reread()
         hosts = "hosts" in self.options
         cases: tuple[BaseCase, ...] = (
             (START, *load_host_cases(on_demand=True)) if hosts else load_cases()
@@ -150,26 +152,13 @@ class ConformanceCases(SphinxDirective):
 
 def _case(case: BaseCase) -> nodes.definition_list_item:
     term = nodes.term("", "", nodes.literal("", case.ID), nodes.Text(f" ({case.LEVEL})"))
-    proves = nodes.paragraph("", "", nodes.Text("Proves "), *linked(", ".join(case.REQUIREMENTS)))
-    texts = (case.DESCRIPTION, f"Expected: {case.EXPECTATION}")
-    lines = [nodes.paragraph("", "", *linked(text)) for text in texts]
-    return nodes.definition_list_item("", term, nodes.definition("", *lines, proves))
+    proves = f"Proves {', '.join(case.REQUIREMENTS)}"
+    texts = (case.DESCRIPTION, f"Expected: {case.EXPECTATION}", proves)
+    return nodes.definition_list_item("", term, nodes.definition("", *map(_line, texts)))
 
 
-def _entry(text: str) -> nodes.entry:
-    return nodes.entry("", nodes.paragraph("", "", *linked(text)))
-
-
-def _table(rows: list[nodes.Node]) -> nodes.table:
-    head = nodes.row("", *(nodes.entry("", nodes.paragraph("", text)) for text in HEADS))
-    group = nodes.tgroup(
-        "",
-        *(nodes.colspec(colwidth=width) for width in (20, 80)),
-        nodes.thead("", head),
-        nodes.tbody("", *rows),
-        cols=len(HEADS),
-    )
-    return nodes.table("", group, classes=["requirements"])
+def _line(text: str) -> nodes.paragraph:
+    return nodes.paragraph("", "", *linked(text))
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

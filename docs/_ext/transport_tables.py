@@ -6,7 +6,6 @@ What flows out: a table with a row for each scheme, and one with a row for each 
     .. transport-options:: bt listen
 """
 
-from collections.abc import Iterable
 from typing import Any
 
 import j2a_transports
@@ -14,6 +13,7 @@ from docutils import nodes
 from j2a_transports import COMMON_OPTIONS, Option, Scheme, Usage
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from table_nodes import row, table
 
 
 def options_of(scheme: str = "", use: str = "") -> tuple[Option, ...]:
@@ -30,7 +30,7 @@ def options_of(scheme: str = "", use: str = "") -> tuple[Option, ...]:
         return COMMON_OPTIONS
     declared = j2a_transports.describe(scheme)
     usages: list[Usage | None] = [
-        getattr(declared, each) for each in ([use] if use else ["open", "listen"])
+        getattr(declared, each, None) for each in ([use] if use else ["open", "listen"])
     ]
     for usage in filter(None, usages):
         return usage.options
@@ -42,8 +42,9 @@ class TransportUrls(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
+        self.env.note_reread()
         rows = [_url_row(j2a_transports.describe(name)) for name in j2a_transports.schemes()]
-        return [_table({"URL": 36, "opened": 24, "listening": 24, "needs": 16}, rows)]
+        return [table({"URL": 36, "opened": 24, "listening": 24, "needs": 16}, rows)]
 
 
 class TransportOptions(SphinxDirective):
@@ -53,12 +54,13 @@ class TransportOptions(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
+        self.env.note_reread()
         try:
             options = options_of(*self.arguments)
         except ValueError as error:
             raise self.error(str(error)) from error
         rows = [_option_row(option) for option in options]
-        return [_table({"option": 14, "meaning": 50, "value": 24, "default": 12}, rows)]
+        return [table({"option": 14, "meaning": 50, "value": 24, "default": 12}, rows)]
 
 
 def _url_row(scheme: Scheme) -> nodes.row:
@@ -66,7 +68,7 @@ def _url_row(scheme: Scheme) -> nodes.row:
     forms = dict.fromkeys(usage.form for usage in usages)
     examples = dict.fromkeys(url for usage in usages for url in usage.examples)
     needs = [f"extra `{scheme.extra}`"] if scheme.extra else []
-    return _row(
+    return row(
         [
             _lines([f"`{form}`" for form in forms]),
             _lines([f"`{url}`" for url in examples if url not in forms]),
@@ -79,27 +81,12 @@ def _url_row(scheme: Scheme) -> nodes.row:
 
 def _option_row(option: Option) -> nodes.row:
     default = f"`{option.default}`" if option.default else ""
-    return _row(
+    return row(
         [_text(f"`{option.name}`")],
         [_text(option.help)],
         [_text(option.takes)],
         [_text(default)],
     )
-
-
-def _table(widths: dict[str, int], rows: list[nodes.row]) -> nodes.table:
-    group = nodes.tgroup(
-        "",
-        *(nodes.colspec(colwidth=width) for width in widths.values()),
-        nodes.thead("", _row(*([_text(head)] for head in widths))),
-        nodes.tbody("", *rows),
-        cols=len(widths),
-    )
-    return nodes.table("", group)
-
-
-def _row(*cells: Iterable[nodes.Node]) -> nodes.row:
-    return nodes.row("", *(nodes.entry("", *cell) for cell in cells))
 
 
 def _lines(texts: list[str]) -> nodes.line_block:

@@ -4,14 +4,11 @@ What flows in: the list in firmware/tests/usb9. What flows out: a table with a r
 """
 
 from importlib import import_module
-from pathlib import Path
-from typing import Any, ClassVar
 
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
-
-FIRMWARE_TESTS = Path(__file__).resolve().parents[2] / "firmware" / "tests"
+from table_nodes import row, table
 
 
 def rows() -> list[tuple[str, str, str]]:
@@ -23,37 +20,17 @@ def rows() -> list[tuple[str, str, str]]:
 class UsbChecks(SphinxDirective):
     """The directive."""
 
-    option_spec: ClassVar[dict[str, Any]] = {}
-
     def run(self) -> list[nodes.Node]:
         """Return the table."""
-        for path in (FIRMWARE_TESTS / "usb9").glob("*.py"):
-            self.env.note_dependency(str(path))
-        heads = nodes.row("", *(_entry(nodes.Text(head)) for head in ("check", "USB 2.0", "what")))
-        group = nodes.tgroup(
-            "",
-            *(nodes.colspec(colwidth=width) for width in (30, 10, 60)),
-            nodes.thead("", heads),
-            nodes.tbody("", *(_row(*found) for found in rows())),
-            cols=3,
+        self.env.note_reread()
+        found = (
+            row([nodes.paragraph("", "", nodes.literal("", name))], section, sentence)
+            for name, section, sentence in rows()
         )
-        return [nodes.table("", group)]
+        return [table({"check": 30, "USB 2.0": 10, "what": 60}, found)]
 
 
-def _row(name: str, section: str, sentence: str) -> nodes.row:
-    return nodes.row(
-        "",
-        _entry(nodes.literal("", name)),
-        _entry(nodes.Text(section)),
-        _entry(nodes.Text(sentence)),
-    )
-
-
-def _entry(content: nodes.Node) -> nodes.entry:
-    return nodes.entry("", nodes.paragraph("", "", content))
-
-
-def setup(app: Sphinx) -> dict[str, Any]:
+def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directive."""
     app.add_directive("usb-checks", UsbChecks)
-    return {"parallel_read_safe": True}
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -3,6 +3,7 @@
 import re
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import j2a_transports
 import pytest
@@ -45,7 +46,7 @@ def test_every_option_is_on_a_page():
             assert set(usage.options) <= shown, name
 
 
-@pytest.mark.parametrize(("scheme", "use"), [("telnet", ""), ("exec", "listen")])
+@pytest.mark.parametrize(("scheme", "use"), [("telnet", ""), ("exec", "listen"), ("exec", "lisen")])
 def test_options_that_nothing_declares_are_refused(scheme, use):
     with pytest.raises(ValueError, match=scheme):
         tables.options_of(scheme, use)
@@ -53,7 +54,7 @@ def test_options_that_nothing_declares_are_refused(scheme, use):
 
 def test_every_transport_is_on_the_page_of_urls():
     assert "```{transport-urls}\n" in (DOCS / "transports.md").read_text()
-    [table] = tables.TransportUrls.run(None)
+    [table] = tables.TransportUrls.run(Mock())
     shown = [literal.astext() for literal in table.findall(nodes.literal)]
     for scheme in j2a_transports.schemes():
         assert any(text.startswith(f"{scheme}:") for text in shown), scheme
