@@ -34,7 +34,7 @@ PARAMETER = re.compile(r"^((?:[a-z]\w*, )*[a-z]\w*): ", re.MULTILINE)
 NAME = re.compile(
     r"(?<![\w`*/-])(\*[a-z]+\b|\*?[A-Za-z]\w*_\w+(?:\([\w, ]*\)|\.[ch]\b)?|0x[0-9A-F]+)(?!\w|`)"
 )
-TYPE_NOTE = "The form of such a function, and the name of its type."
+TYPE_NOTE = "A type of functions, written as one of them."
 GUARD = re.compile(r"_H$")
 
 
