@@ -7,6 +7,7 @@ the last results are those of the reports in build/conformance, if there are any
 """
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -25,6 +26,7 @@ TRACE = ROOT / "build" / "traceability.json"
 VECTORS = ROOT / "spec" / "j2a_spec" / "vectors"
 FOLDER = "spec/requirement"
 SHOWN = 24  # bytes of a vector
+MARKUP = re.compile(r"(`[^`]*`)|[\\*_<|$\[]")
 
 
 def write_pages(app: Sphinx) -> None:
@@ -100,7 +102,7 @@ def _mutants(mutants: list[dict[str, Any]]) -> Iterator[str]:
     if mutants:
         yield "\n## Mutants, and where the rule lives\n"
     for mutant in mutants:
-        killers = ", ".join(f"`{case}`" for case in mutant["killed_by"])
+        killers = ", ".join(f"`{case}`" for case in mutant["killed_by"]) or "nothing"
         what = mutant["what"][:1].upper() + mutant["what"][1:]
         yield f"`{mutant['id']}`\n: {_text(what)}. Killed by {killers}.\n"
         for source in mutant["sources"]:
@@ -119,10 +121,8 @@ def _line_number(source: dict[str, Any]) -> int:
 
 
 def _text(text: str) -> str:
-    """Return prose for Markdown: what it would take for markup is text."""
-    for mark in ("\\", "*", "_", "<", "|", "$", "["):
-        text = text.replace(mark, f"\\{mark}")
-    return text
+    """Return prose for Markdown: what would be markup is text, but for code in backticks."""
+    return MARKUP.sub(lambda match: match[1] or f"\\{match[0]}", text)
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
