@@ -39,6 +39,7 @@ struct sim {
     mcu_t mcu;
     interrupts_t interrupts;
     adc_t adc;
+    eeprom_t eeprom;
     board_t board;
     twi_t twi;
     signature_t signature;
@@ -239,7 +240,8 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     avr_init(avr);
     if (memory_widen(avr))
         return failed(s, error, error_size, "out of memory");
-    eeprom_attach(avr);
+    if (eeprom_attach(&s->eeprom, avr))
+        return failed(s, error, error_size, "out of memory");
     mcu_mend(&s->mcu, avr);
     s->signature.avr = avr;
     avr->custom.data = s;
@@ -334,9 +336,9 @@ uint32_t sim_flash_size(const sim_t *s) { return s->avr->flashend + 1; }
 uint32_t sim_data_size(const sim_t *s) { return s->avr->ramend + 1u; }
 const char *sim_log(const sim_t *s) { return s->log; }
 
-uint8_t *sim_eeprom(const sim_t *s) { return eeprom_bytes(s->avr); }
+uint8_t *sim_eeprom(const sim_t *s) { return s->eeprom.port ? s->eeprom.port->eeprom : NULL; }
 
-uint32_t sim_eeprom_size(const sim_t *s) { return sim_eeprom(s) ? s->avr->e2end + 1u : 0; }
+uint32_t sim_eeprom_size(const sim_t *s) { return s->eeprom.port ? s->eeprom.port->size : 0; }
 
 usb_host_t *sim_usb(sim_t *s) { return s->usb ? &s->host : NULL; }
 
