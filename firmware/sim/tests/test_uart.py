@@ -10,6 +10,8 @@ pytestmark = pytest.mark.avr
 SECOND = 16_000_000
 ALL_BYTES = bytes(range(256))
 DOR, FE, UPE, UDRE, RXC = 0x08, 0x10, 0x04, 0x20, 0x80
+UCSR1A, UCSR1B, UBRR1L, UDR1 = 0xC8, 0xC9, 0xCC, 0xCE
+TXEN, RXEN = 0x08, 0x10
 
 
 def exchange(sim, data, seconds=1.0):
@@ -142,6 +144,50 @@ def test_bytes_to_a_receiver_that_is_off_are_counted(simulate):
     sim.run(100_000)
     counters = sim.counters
     assert 0 < counters.unheard <= counters.bytes_in == 9
+
+
+@pytest.mark.parametrize(
+    ("byte", "at_bit", "heard"),
+    [(0x0F, 2.5, 0xF8), (0xFF, 0.5, None), (0xFF, 1.5, None), (0x55, 3.5, 0xF5)],
+)
+def test_a_receiver_that_is_switched_on_amid_a_character(open_chip, byte, at_bit, heard):
+    """It takes the next falling edge for a start bit; bits 4 to 7 of 0x0F are low."""
+    chip = open_chip("atmega32u4")
+    bit = 16 * 208
+    chip.put(UBRR1L, 207)
+    chip.sim.uart_write(bytes([byte]))
+    chip.sim.run(int(at_bit * bit))
+    chip.put(UCSR1B, RXEN)
+    chip.sim.run(20 * bit)
+    assert bool(chip.get(UCSR1A) & RXC) == (heard is not None)
+    assert chip.get(UDR1) == (heard or 0)
+
+
+def test_a_receiver_that_is_switched_off_and_on_has_lost_the_character(open_chip):
+    chip = open_chip("atmega32u4")
+    bit = 16 * 208
+    chip.put(UBRR1L, 207)
+    chip.put(UCSR1B, RXEN)
+    chip.sim.uart_write(b"\xff\x42")
+    chip.sim.run(5 * bit)
+    chip.put(UCSR1B, 0)
+    chip.put(UCSR1B, RXEN)
+    chip.sim.run(20 * bit)
+    assert chip.get(UDR1) == 0x42
+    assert not chip.get(UCSR1A) & RXC
+
+
+@pytest.mark.parametrize(("at_bit", "heard"), [(0.5, b"\xff"), (3.5, b"\xf9"), (9.5, b"\x01")])
+def test_a_reset_amid_a_character_leaves_the_rest_high(open_chip, at_bit, heard):
+    chip = open_chip("atmega32u4")
+    bit = 16 * 208
+    chip.put(UBRR1L, 207)
+    chip.put(UCSR1B, TXEN)
+    chip.put(UDR1, 0x01)
+    chip.sim.run(int(at_bit * bit))
+    chip.sim.reset()
+    chip.sim.run(20 * bit)
+    assert chip.sim.uart_read() == heard
 
 
 @pytest.mark.parametrize("host_baud", [115200, 113_000, 121_000])

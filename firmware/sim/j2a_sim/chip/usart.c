@@ -163,8 +163,6 @@ static void rx_push(usart_t *u, uint8_t byte, uint8_t error)
 static void rx_deliver(void *param, uint8_t byte, int framing_error, int parity_error)
 {
     usart_t *u = param;
-    if (!usart_receiver_on(u))
-        return;
     uint8_t error = (framing_error ? FLAG_FE : 0) | (parity_error ? FLAG_UPE : 0);
     u->rx_framing_errors += framing_error;
     if (u->fifo_count < RX_FIFO) {
@@ -274,6 +272,7 @@ static void ucsrb_write(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param)
 {
     usart_t *u = param;
     avr->data[addr] = v & ~2; /* RXB8 cannot be written */
+    wire_listen(&u->rx, usart_receiver_on(u));
     if (!usart_receiver_on(u))
         rx_flush(u);
     levels(u);
@@ -285,8 +284,8 @@ static void reset(struct avr_io_t *io)
      * hook knows us. */
     usart_t *u = io->avr->io[AVR_DATA_TO_IO(((avr_uart_t *)io)->r_udr)].w.param;
     avr_cycle_timer_cancel(u->avr, tx_done, u);
-    wire_quiet(&u->rx);
-    wire_quiet(&u->tx);
+    wire_listen(&u->rx, 0);
+    wire_cut(&u->tx);
     u->tx_buffered = u->tx_shifting = 0;
     rx_flush(u);
     clear_flag(u, &u->port->txc);
@@ -309,7 +308,7 @@ int usart_attach(usart_t *u, avr_t *avr, avr_uart_t *port)
     u->rx = (wire_t){.avr = avr, .user = u, .format = wire_format, .receiver_bit = avr_bit,
                      .edge = rx_edge, .deliver = rx_deliver};
     u->tx = (wire_t){.avr = avr, .user = u, .format = wire_format, .receiver_bit = host_bit,
-                     .deliver = tx_deliver};
+                     .deliver = tx_deliver, .listens = 1};
 
     /* simavr's own hooks must not run as well, so they are replaced and not added to. */
 #define HOOK(address, direction, function, user)                    \

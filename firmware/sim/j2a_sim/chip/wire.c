@@ -50,7 +50,8 @@ static void receive_from(wire_t *w, double start)
     }
     w->start = start;
     double delay = ceil(at) - w->avr->cycle;
-    avr_cycle_timer_register(w->avr, delay < 1 ? 1 : (avr_cycle_count_t)delay, wire_event, w);
+    w->due = w->avr->cycle + (delay < 1 ? 1 : (avr_cycle_count_t)delay);
+    avr_cycle_timer_register(w->avr, w->due - w->avr->cycle, wire_event, w);
 }
 
 static avr_cycle_count_t wire_event(avr_t *avr, avr_cycle_count_t when, void *param)
@@ -101,13 +102,31 @@ double wire_send(wire_t *w, double start, double bit, uint8_t byte)
     memmove(&w->recent[1], &w->recent[0], sizeof w->recent - sizeof w->recent[0]);
     wire_char_t c = {start, bit, levels, bits};
     w->recent[0] = c;
-    if (w->state == WIRE_IDLE)
+    if (w->listens && w->state == WIRE_IDLE)
         receive_from(w, start);
     return start + bits * bit;
 }
 
-void wire_quiet(wire_t *w)
+void wire_cut(wire_t *w)
 {
-    avr_cycle_timer_cancel(w->avr, wire_event, w);
+    uint64_t now = w->avr->cycle;
+    wire_char_t *last = &w->recent[0];
+    unsigned sent = 0;
+    while (sent < last->bits && last->start + sent * last->bit < now)
+        sent++;
+    last->levels |= ~0u << sent;
+    if (w->state != WIRE_IDLE)
+        avr_cycle_timer_register(w->avr, w->due > now ? w->due - now : 1, wire_event, w);
+}
+
+void wire_listen(wire_t *w, int on)
+{
+    if (on == w->listens)
+        return;
+    w->listens = on;
     w->state = WIRE_IDLE;
+    avr_cycle_timer_cancel(w->avr, wire_event, w);
+    double edge = on ? next_edge(w, w->avr->cycle) : -1;
+    if (edge >= 0)
+        receive_from(w, edge);
 }

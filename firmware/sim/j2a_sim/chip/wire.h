@@ -4,8 +4,9 @@
  * Out: the characters that the receiver makes of the levels that it samples by its own clock.
  * Times are in cycles of the simulated AVR and need not be whole. With equal clocks every character
  * arrives as it was sent; with unequal ones bits are sampled wrongly, stop bits are missed, and a
- * later edge is taken for a start bit, as on a real wire. A start bit shorter than half a bit of the
- * receiver is given up only when the character would have ended.
+ * later edge is taken for a start bit, as on a real wire. A receiver that is switched on amid a character
+ * takes its next falling edge for a start bit. A start bit shorter than half a bit of the receiver is given
+ * up only when the character would have ended.
  */
 #ifndef J2A_SIM_WIRE_H
 #define J2A_SIM_WIRE_H
@@ -33,15 +34,19 @@ typedef struct {
     double (*receiver_bit)(void *user);
     void (*edge)(void *user);                   /* a start bit is seen; may be NULL */
     void (*deliver)(void *user, uint8_t byte, int framing_error, int parity_error);
+    int listens;                                /* the receiver is on */
     wire_char_t recent[WIRE_RECENT];            /* newest first */
     enum { WIRE_IDLE, WIRE_EDGE_AHEAD, WIRE_SAMPLING } state;
     double start, bit;                          /* of the character that is being received */
+    uint64_t due;                               /* the cycle at which it, or its start bit, has come */
 } wire_t;
 
 unsigned wire_char_bits(wire_format_t);
 /* Puts a character on the wire; returns the time at which its last stop bit ends. */
 double wire_send(wire_t *, double start, double bit, uint8_t byte);
-/* Makes the receiver forget what it is receiving. */
-void wire_quiet(wire_t *);
+/* The sender was reset, and simavr has dropped all timers: the wire is high from the end of this bit on. */
+void wire_cut(wire_t *);
+/* Switches the receiver; one that is off forgets what it is receiving. */
+void wire_listen(wire_t *, int on);
 
 #endif
