@@ -268,6 +268,20 @@ def test_free_running(sim):
     assert sim.adc.conversions >= 4
 
 
+@pytest.mark.parametrize(("trigger", "many"), [(0, True), (4, False)])
+def test_only_free_running_begins_a_conversion_of_itself(open_chip, trigger, many):
+    """ADTS 4 waits for timer 0, which stands still."""
+    chip = open_chip("atmega32u4")
+    adcsra, adcsrb = 0x7A, 0x7B
+    chip.put(adcsrb, trigger)
+    chip.put(adcsra, 0xE4)
+    chip.ms(10)
+    assert (chip.sim.adc.conversions > 1) == many
+    assert chip.sim.adc.conversions > 0
+    assert bool(chip.get(adcsra) & 0x40) == many
+    assert ("ADTS is 4" in chip.sim.log) == (not many)
+
+
 def test_what_the_adc_does_not_model_is_in_the_log(sim):
     assert ask(sim, b"d", 2) == b"\0\0"
     assert "only single-ended channels" in sim.log

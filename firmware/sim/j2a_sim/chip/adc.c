@@ -45,6 +45,17 @@ static double input(adc_t *a)
     }
 }
 
+/* Whether the end of a conversion begins another one: ADATE, and ADTS is 0. */
+static int runs_freely(adc_t *a)
+{
+    if (!(*adcsra(a) & ADCSRA_ADATE))
+        return 0;
+    unsigned trigger = avr_regbit_get_array(a->avr, a->port->adts, 4);
+    if (trigger)
+        AVR_LOG(a->avr, LOG_WARNING, "ADC: of its triggers only free running is modelled; ADTS is %u\n", trigger);
+    return !trigger;
+}
+
 static avr_cycle_count_t step(avr_t *avr, avr_cycle_count_t when, void *param);
 
 static void start(adc_t *a)
@@ -82,7 +93,7 @@ static avr_cycle_count_t step(avr_t *avr, avr_cycle_count_t when, void *param)
     a->conversions++;
     *adcsra(a) &= ~ADSC;
     avr_raise_interrupt(avr, &a->port->adc); /* sets ADIF also where the interrupt is off */
-    if (*adcsra(a) & ADCSRA_ADATE) {
+    if (runs_freely(a)) {
         *adcsra(a) |= ADSC;
         start(a);
     }
@@ -108,6 +119,8 @@ static void adcsra_write(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param)
     avr->data[addr] = (v & ~(ADIF | ADSC)) | flag | ((before | v) & ADSC);
     if (flag && !a->port->adc.pending && avr_regbit_get(avr, a->port->adc.enable))
         avr_raise_interrupt(avr, &a->port->adc);
+    if ((v & ~before) & ADCSRA_ADATE)
+        runs_freely(a); /* for the line in the log */
     if ((v & ~before) & ADSC)
         start(a);
 }

@@ -8,7 +8,8 @@
  * ADC's clock, samples 1.5 of its periods later (13.5 in the first one after the ADC was switched on)
  * and is ready after 13 (25). Channel and reference are those at the beginning.
  * Modelled: single-ended channels, the internal reference and 0 V as inputs, ADLAR, free running.
- * Anything else (differential inputs, the thermometer, other triggers) gives 0 and a line in the log.
+ * Any other input (differential, the thermometer) gives 0 and a line in the log, any other trigger no
+ * conversion and a line in the log.
  */
 #ifndef J2A_SIM_ADC_H
 #define J2A_SIM_ADC_H
