@@ -6,6 +6,7 @@ from j2a_sim import AvrSim, SimError, chip_serial
 pytestmark = pytest.mark.avr
 
 SERIAL = bytes(range(0xA0, 0xAA))
+EECR, EEPE = 0x3F, 0x02
 SIGNATURES = {
     "atmega16u4": "1e9488",
     "atmega32u4": "1e9587",
@@ -78,6 +79,14 @@ def test_three_cycles_and_no_more(reader):
     code = chip.sim.program.flash[0x10]
     assert code != SERIAL[2]
     assert [chip.read(0x10, wait)[0] for wait in range(4)] == [SERIAL[2]] * 3 + [code]
+
+
+def test_a_chip_that_writes_eeprom_reads_no_row(reader):
+    chip = reader(serial=SERIAL)
+    chip.sim.write_memory(EECR, bytes([EEPE]))
+    assert chip.read(0x10)[0] == chip.sim.program.flash[0x10]
+    chip.sim.write_memory(EECR, b"\0")
+    assert chip.read(0x10)[0] == SERIAL[2]
 
 
 def test_serial_numbers_have_ten_bytes(firmware):

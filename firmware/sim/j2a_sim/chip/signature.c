@@ -5,7 +5,7 @@
 
 #include "sim_core.h"
 
-enum { SPMCSR = 0x57, SPMEN = 1, SIGRD = 0x20, Z = 30 };
+enum { SPMCSR = 0x57, SPMEN = 1, SIGRD = 0x20, EECR = 0x3f, EEPE = 2, Z = 30 };
 enum { ROW_SIZE = 0x20, SERIAL_AT = 0x0e, CYCLES = 3 };
 
 static uint8_t byte_of(const signature_t *s, unsigned address)
@@ -18,6 +18,8 @@ static uint8_t byte_of(const signature_t *s, unsigned address)
 static void on_spmcsr(avr_t *avr, avr_io_addr_t reg, uint8_t value, void *param)
 {
     signature_t *s = param;
+    if (avr->data[EECR] & EEPE) /* "EEPROM write prevents writing to SPMCSR" */
+        return;
     s->state = ROW_CLOSED;
     if (value != (SIGRD | SPMEN)) {
         s->write(avr, reg, value, s->param);

@@ -6,7 +6,8 @@
  *
  * Rules: as in 27.9.4 of the ATmega16U4/32U4 data sheet (J): the LPM begins within three cycles, or reads the
  * flash. The serial number is where chips have it, though the data sheets do not tell. What else is in the row
- * is not modelled and reads 0xff. A chip reads no row while it writes EEPROM; simavr writes that in no time.
+ * is not modelled and reads 0xff. A chip takes nothing into SPMCSR while it writes EEPROM, so it reads no
+ * row then.
  */
 #ifndef J2A_SIM_SIGNATURE_H
 #define J2A_SIM_SIGNATURE_H
