@@ -23,6 +23,7 @@ from j2a_sim._twi import Twi
 from j2a_sim._usb_bus.bus import UsbBus
 
 SERIAL_BYTES: Final = 10
+UNTAKEN_MAX: Final = 2**16
 
 
 def chip_serial(number: int) -> bytes:
@@ -265,6 +266,14 @@ class AvrSim(AvrCore):
             starts, cycles = (ctypes.c_uint64 * count)(), (ctypes.c_uint64 * count)()
             self._lib.sim_take_spans(self._handle, marks, starts, cycles)
             return [Span(*item) for item in zip(marks, starts, cycles, strict=True)]
+
+    def drop_untaken(self) -> None:
+        """Drop the UART's bytes, or the spans, if there are more than 65536 that nobody has taken.
+
+        For runs without end, which would keep them all.
+        """
+        with self._lock:
+            self._lib.sim_drop_untaken(self._handle, UNTAKEN_MAX)
 
     def interrupts(self, vector: int) -> Interrupts:
         """What a vector's handler did since the start, or since clear_interrupts().

@@ -107,6 +107,7 @@ class Runner:
                 self._feed()
                 self.sim.run(self._slice)
                 self._send()
+                self.sim.drop_untaken()
         finally:
             ended.set()
             for client in (self._client, self._next):

@@ -217,6 +217,7 @@ class UsbHost:
         now = self.sim.cycle
         nearest = min((t.deadline for t in self._pending.values()), default=float("inf"))
         self.sim.run_until_usb(int(max(1, min(self.sim.cycles(SLICE_S), nearest - now))))
+        self.sim.drop_untaken()
         counters = self._bus.counters
         moved = (counters.bytes_in, counters.bytes_out)
         if moved != self._moved:

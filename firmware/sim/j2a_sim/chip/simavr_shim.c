@@ -381,6 +381,14 @@ void sim_take_spans(sim_t *s, uint8_t *marks, uint64_t *starts, uint64_t *cycles
     s->span_count = 0;
 }
 
+void sim_drop_untaken(sim_t *s, uint32_t most)
+{
+    if (s->out_count > most)
+        s->out_count = 0;
+    if (s->span_count > most)
+        s->span_count = 0;
+}
+
 int sim_interrupt(const sim_t *s, int vector, uint64_t *to)
 {
     const interrupt_t *i = &s->interrupts.of[vector & (VECTORS - 1)];

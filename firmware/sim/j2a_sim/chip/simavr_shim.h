@@ -50,6 +50,8 @@ uint32_t sim_span_count(const sim_t *);
 void sim_take_out(sim_t *, uint32_t n, uint8_t *bytes, uint64_t *cycles);
 /* Takes all closed spans away; the arrays hold sim_span_count() items. */
 void sim_take_spans(sim_t *, uint8_t *marks, uint64_t *starts, uint64_t *cycles);
+/* Drops received bytes and closed spans that nobody has taken, of either where there are more than `most`. */
+void sim_drop_untaken(sim_t *, uint32_t most);
 /* Copies what is known of an interrupt vector; see interrupts.h. Returns 0 for one that does not exist. */
 int sim_interrupt(const sim_t *, int vector, uint64_t *to);
 void sim_clear_interrupts(sim_t *);
