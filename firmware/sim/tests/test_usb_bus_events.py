@@ -409,3 +409,17 @@ def test_events_of_endpoints_interrupt(chip, number, enable):
     chip.ms(0.1)
     assert chip.variable("com_entries") == 3
     assert chip.variable("com_seen") == 1 << number
+
+
+def test_a_transfer_that_is_cancelled_ends_also_if_its_packet_is_cut_by_a_suspend(open_chip):
+    """Wherever the packet is; else it would end behind the resume."""
+    chip = open_chip("atmega32u4")
+    chip.start((1, BULK_IN, size_bits(64)))
+    for cycles in range(0, 240, 16):
+        number = chip.bus.submit_in(0x81, 64)
+        chip.sim.run(cycles)
+        chip.bus.cancel(number)
+        chip.bus.suspend()
+        chip.ms(0.1)
+        assert [(done.id, done.status) for done in chip.bus.completed()] == [(number, "cancelled")]
+        chip.bus.resume()

@@ -155,8 +155,11 @@ void usb_host_suspend(usb_host_t *h)
 {
     if (h->state != HOST_ACTIVE)
         return;
+    usb_transfer_t *cut = h->now.transfer;
     stop_frames(h);
     h->state = HOST_SUSPENDED;
+    if (cut && cut->cancelled)
+        usb_complete(h, h->now.pipe, cut, DONE_CANCELLED);
 }
 
 void usb_host_resume(usb_host_t *h)

@@ -49,12 +49,13 @@ usb_answer_t usb_device_token(usb_device_t *u, usb_token_t token, unsigned addre
                               int toggle, const uint8_t *data, unsigned length)
 {
     usb_flight_t *f = &u->flight;
-    usb_endpoint_t *e = &u->endpoints[endpoint];
     unsigned own = u->udaddr & 0x80 ? u->udaddr & 0x7f : 0;
     f->endpoint = NULL;
     f->answer = USB_NONE;
-    if (!usb_device_pulls_up(u) || !usb_clocked(u) || address != own
-        || (int)endpoint >= usb_endpoint_count(u) || !works(e) || type(e) == USB_ISOCHRONOUS)
+    if (!usb_device_pulls_up(u) || !usb_clocked(u) || address != own || (int)endpoint >= usb_endpoint_count(u))
+        return USB_NONE;
+    usb_endpoint_t *e = &u->endpoints[endpoint];
+    if (!works(e) || type(e) == USB_ISOCHRONOUS)
         return USB_NONE;
     f->token = token;
     f->toggle = toggle;
