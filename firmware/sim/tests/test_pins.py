@@ -282,8 +282,9 @@ def test_only_free_running_begins_a_conversion_of_itself(open_chip, trigger, man
     assert ("ADTS is 4" in chip.sim.log) == (not many)
 
 
-def test_what_the_adc_does_not_model_is_in_the_log(sim):
-    assert ask(sim, b"d", 2) == b"\0\0"
+@pytest.mark.parametrize("asked", [b"d", b"a\x09"], ids=["differential", "reserved"])
+def test_what_the_adc_does_not_model_is_in_the_log(sim, asked):
+    assert ask(sim, asked, 2) == b"\0\0"
     assert "only single-ended channels" in sim.log
 
 

@@ -66,7 +66,7 @@ static void start(adc_t *a)
     avr_adc_mux_t mux = a->port->muxmode[avr_regbit_get_array(a->avr, a->port->mux, 6)];
     a->channel_kind = mux.kind;
     a->channel = mux.src;
-    if (mux.kind == ADC_MUX_DIFF || mux.kind == ADC_MUX_TEMP)
+    if (mux.kind != ADC_MUX_SINGLE && mux.kind != ADC_MUX_REF)
         AVR_LOG(a->avr, LOG_WARNING, "ADC: only single-ended channels are modelled; MUX is %u\n",
                 avr_regbit_get_array(a->avr, a->port->mux, 6));
     a->reference = reference(a);
