@@ -393,3 +393,20 @@ def test_relatives_have_the_controller_too(open_chip, mcu):
     chip.start((4, BULK_IN, size_bits(16) | DOUBLE))
     chip.send(b"x")
     assert chip.bus.read(0x84) == b"x"
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda bus: bus.read(0x81, -1), "-1 bytes is out of range"),
+        (lambda bus: bus.submit_in(0x81, 2**32 - 1), "4294967295 bytes is out of range"),
+        (lambda bus: bus.transact("PING", 1), "'PING' with toggle None is no transaction"),
+        (lambda bus: bus.transact("IN", 1, toggle=2), "'IN' with toggle 2 is no transaction"),
+        (lambda bus: bus.plan_frames([float("nan")], [1]), "do not rise"),
+    ],
+)
+def test_odd_numbers_are_refused(open_chip, call, text):
+    """A transfer of 2^32 - 1 bytes had a buffer of 1023."""
+    bus = open_chip("atmega32u4").bus
+    with pytest.raises(SimError, match=text):
+        call(bus)

@@ -12,6 +12,7 @@ import struct
 from typing import Final
 
 from j2a_sim import _build
+from j2a_sim._errors import SimError
 from j2a_sim._usb_bus.port import BY_HAND, PACKET, UsbPort
 from j2a_sim._usb_bus.records import (
     Completion,
@@ -148,7 +149,12 @@ class UsbBus(UsbPort):
         Returns:
             "ACK", "NAK", "STALL" or None (no answer), and the data of IN. A packet of IN with the
             wrong toggle is acknowledged and counted.
+
+        Raises:
+            SimError: no such token, toggle, endpoint or address.
         """
+        if token not in _TOKENS or toggle not in {None, 0, 1}:
+            raise SimError(f"{token!r} with toggle {toggle} is no transaction")
         kind = BY_HAND + _TOKENS[token]
         own = 0 if token == "SETUP" else 255
         options = (own if toggle is None else toggle) + 256 * acknowledge

@@ -7,6 +7,7 @@ Rules: beginning a transfer takes no simulated time; it goes on while the simula
 from __future__ import annotations
 
 import ctypes
+import math
 import threading
 from collections.abc import Sequence
 from itertools import pairwise
@@ -22,6 +23,7 @@ _STATUS = ("ok", "stall", "no_answer", "cancelled", "overflow", "nak")
 _FRAMES, _LOST = 2048, 0x10000
 _OFF, _IDLE, _RESET, _ACTIVE, _SUSPENDED, _RESUMING = range(6)
 PACKET: Final = 64
+_LENGTH_MAX: Final = 2**31 - 1
 # Why a chip is not attached, in the order of usb_device_lacks().
 _NOT_ON: Final = "the firmware never switched USB on: was it built with USB, and for this MCU?"
 LACKS: Final = (
@@ -213,7 +215,7 @@ class UsbPort:
         losses = [False] * count if lost is None else lost
         if len(numbers) != count or len(losses) != count:
             raise SimError(f"{count} frames start, and there are {len(numbers)} numbers")
-        if any(later <= start for start, later in pairwise(starts)):
+        if not all(map(math.isfinite, starts)) or any(b <= a for a, b in pairwise(starts)):
             raise SimError("the starts of frames do not rise")
         packed = [n % _FRAMES + _LOST * bool(x) for n, x in zip(numbers, losses, strict=True)]
         with self._lock:
@@ -265,6 +267,8 @@ class UsbPort:
             raise SimError(f"endpoint 0x{endpoint:02x} is no endpoint address")
         if not 1 <= packet <= 1023:
             raise SimError(f"packet size {packet} is out of range 1..1023")
+        if not 0 <= length <= _LENGTH_MAX:
+            raise SimError(f"a transfer of {length} bytes is out of range 0..{_LENGTH_MAX}")
         if address is not None and not 0 <= address <= 127:
             raise SimError(f"USB address {address} is out of range 0..127")
         with self._lock:
