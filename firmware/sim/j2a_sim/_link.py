@@ -159,11 +159,10 @@ def open_url(url: Url) -> Transport:
             options.get("uart"),
             options.get("baud"),
         )
-        return kind(
-            sim,
-            url.text,
-            patience_s=options["patience"],
-            speed=options["speed"],
-        )
+        try:
+            return kind(sim, url.text, patience_s=options["patience"], speed=options["speed"])
+        except BaseException:
+            sim.close()  # one with USB would wait for the garbage collector
+            raise
     except SimError as error:
         raise OpenFailed(f"{url.text}: {error}") from error

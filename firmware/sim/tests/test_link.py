@@ -1,11 +1,12 @@
 """The transport in simulated time, and its pacing by the wall clock."""
 
+import gc
 import threading
 import time
 
 import j2a_transports
 import pytest
-from j2a_sim import SimError, SimLink
+from j2a_sim import AvrSim, SimError, SimLink
 from j2a_sim._link import open_url
 from j2a_sim._pace import MAX_LAG_S, Pacer
 from j2a_transports import BadUrl, LinkClosed, LinkLost, OpenFailed, Url
@@ -247,3 +248,18 @@ def test_pacer_waits_when_ahead_and_forgets_what_is_late():
     clock.now += 10
     assert pacer.wait_s(6.0) == 0
     assert pacer.wait_s(6.5) == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("options", ["mcu=atmega32u4", "mcu=atmega32u4&link=usb"])
+def test_a_firmware_that_does_not_come_up_leaves_no_simulator_behind(firmware, options):
+    """Not even until the garbage collector has a turn: each takes 16 MB."""
+    elf = firmware("poke", "atmega32u4")
+    gc.collect()
+    gc.disable()
+    try:
+        with pytest.raises(OpenFailed):
+            open_url(Url.parse(f"sim:{elf}?{options}"))
+        sims = [found for found in gc.get_objects() if isinstance(found, AvrSim)]
+        assert not [sim for sim in sims if sim._sim is not None and sim.program.path == elf]
+    finally:
+        gc.enable()
