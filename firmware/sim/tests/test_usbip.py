@@ -304,7 +304,7 @@ def test_the_command(firmware):
             process.kill()
 
 
-@pytest.mark.parametrize("address", ["1.2.3.4:x", ":1", "127.0.0.1:65536"])
+@pytest.mark.parametrize("address", ["1.2.3.4:x", ":1", "[]:0", "127.0.0.1:65536"])
 def test_a_bad_address(address, firmware, capsys):
     elf = firmware("usb_board", "atmega32u4")
     command = [sys.executable, "-m", "j2a_sim", "usb", elf, "--usbip", address]

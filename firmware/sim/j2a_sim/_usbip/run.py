@@ -29,9 +29,10 @@ def parse_address(text: str) -> tuple[str, int]:
     host, colon, port = text.rpartition(":")
     if not colon:
         host, port = text, str(protocol.TCP_PORT)
+    host = host.strip("[]")
     if not host or not port.isdecimal() or int(port) > 0xFFFF:
         raise ValueError
-    return host.strip("[]"), int(port)
+    return host, int(port)
 
 
 def summary(busid: str, sim: AvrSim, wall_s: float) -> str:
