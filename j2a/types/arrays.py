@@ -7,13 +7,14 @@ Rule: a value that the sensor does not have is NaN. Needs NumPy (`pip install "j
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from importlib import import_module
 from typing import Any, Final
 
 from j2a_spec.plural import counted
 
 from j2a.errors import LocalError
 from j2a.events import Sample
-from j2a.types.model import Enumeration, Structure, Type
+from j2a.types.model import INTEGERS, Enumeration, Structure, Type
 from j2a.types.naming import free_name
 from j2a.types.transducers import LOST_BYTES, Transducer, number_element
 
@@ -21,15 +22,13 @@ __all__ = ["Batch"]
 
 _CODES: Final = {
     "bool": "?",
-    **{f"{sign}{8 * size}": f"<{sign}{size}" for sign in "ui" for size in (1, 2, 4, 8)},
+    **{name: f"<{name[0]}{bits // 8}" for name, bits in INTEGERS.items()},
     "f32": "<f4",
     "f64": "<f8",
 }
 
 _OTHER_COLUMNS: Final = ("host_time_ns",)
 """What recordings add to tables."""
-
-
 _EXACT: Final = ("i64", "u64", "bool")
 """Values that a table has as they are: a float does not hold those of 64 bits."""
 
@@ -58,16 +57,16 @@ class Batch:
     """
 
     def __init__(self, sensor: Transducer, payloads: Iterable[bytes]) -> None:
-        np = _module("numpy", "arrays")
+        np = _module("numpy")
         self.sensor = sensor
         self.lost = self.missed = 0
         self.is_reset = False
-        value = _dtype(sensor.type)
-        entry = np.dtype([("time_us", "<u8"), ("raw", value)])
+        columns = [("time_us", "<u8"), ("raw", _dtype(np, sensor.type))]
         parts = list(payloads)
         if sensor.queue:
-            entry = np.dtype([("channel", "u1"), *entry.descr])
+            columns.insert(0, ("channel", "u1"))
             parts = [payload[LOST_BYTES:] for payload in parts]
+        entry = np.dtype(columns)
         sizes = np.array([len(one) for one in parts], dtype="i8")
         self.counts: Any = sizes // entry.itemsize
         # Each is looked at: two wrong ones may be as long as two right ones.
@@ -107,7 +106,7 @@ class Batch:
         Raises:
             LocalError: the values are structures; `raw` has them.
         """
-        np = _module("numpy", "arrays")
+        np = _module("numpy")
         sensor = self.sensor
         if number_element(replace(sensor.type, count=None)) is None:
             raise LocalError(f"{sensor.name} has values of type {sensor.type}: see raw")
@@ -139,18 +138,14 @@ class Batch:
         Raises:
             LocalError: pandas is missing.
         """
-        pandas = _module("pandas", "arrays")
+        pandas = _module("pandas")
         columns = {"time_us": self.times_us.ravel(), "channel": self.channels.ravel()}
         sensor = self.sensor
         units = {"value": sensor.unit}
         element = number_element(sensor.type)
         is_named = isinstance(sensor.type.element, Enumeration)
         if element is not None and not sensor.is_scaled and (is_named or element in _EXACT):
-            dtype = f"{'U' * element.startswith('u')}Int{element[1:]}"
-            dtype = "boolean" if element == "bool" else dtype
-            value = pandas.Series(self.raw.ravel(), dtype=dtype)
-            value[self._is_none().ravel()] = pandas.NA
-            columns["value"] = value
+            columns["value"] = _with_gaps(pandas, self.raw.ravel(), self._is_none().ravel())
         elif element is not None:
             columns["value"] = self.values.ravel()
         else:
@@ -178,14 +173,14 @@ class Batch:
         return batch
 
 
-def _dtype(kind: Type) -> Any:
+def _dtype(np: Any, kind: Type) -> Any:
     """Return the type of NumPy for values of a type."""
     element = kind.element
     if isinstance(element, Structure):
-        one: Any = [(field.name, *_shaped(_dtype(field.type))) for field in element.fields]
+        one = np.dtype([(field.name, _dtype(np, field.type)) for field in element.fields])
     else:
-        one = _CODES[element.integer if isinstance(element, Enumeration) else element]
-    return one if kind.count is None else (one, (kind.count,))
+        one = np.dtype(_CODES[element.integer if isinstance(element, Enumeration) else element])
+    return one if kind.count is None else np.dtype((one, (kind.count,)))
 
 
 def _columns(name: str, values: Any, kind: Type) -> Iterator[tuple[str, Any, str]]:
@@ -219,14 +214,8 @@ def _with_gaps(pandas: Any, values: Any, is_none: Any) -> Any:
     return column
 
 
-def _shaped(dtype: Any) -> tuple[Any, ...]:
-    return dtype if isinstance(dtype, tuple) else (dtype,)
-
-
-def _module(name: str, extra: str) -> Any:
-    from importlib import import_module  # noqa: PLC0415
-
+def _module(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
-        raise LocalError(f'this needs {name}: pip install "j2a[{extra}]"') from None
+        raise LocalError(f'this needs {name}: pip install "j2a[arrays]"') from None

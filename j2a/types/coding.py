@@ -10,10 +10,12 @@ import contextlib
 import dataclasses
 import functools
 import keyword
+import operator
 import struct
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
+from itertools import accumulate
 from numbers import Integral
 from typing import Any, Final
 
@@ -55,6 +57,7 @@ _Flatten = Callable[[Any, str, list[Any]], None]
 """Appends the scalars of a value; the text names the argument in errors."""
 _Build = Callable[[Sequence[Any], int], Any]
 """Returns the value whose scalars begin at the index."""
+_Part = tuple[str, _Flatten, _Build]
 
 
 class PayloadMismatchError(ValueError):
@@ -121,11 +124,7 @@ class Codec:
         parts = [_part(field.type, types) for field in fixed]
         self._struct = struct.Struct("<" + "".join(code for code, _, _ in parts))
         self._flatten = [flatten for _, flatten, _ in parts]
-        self._build: list[tuple[_Build, int]] = []
-        at = 0
-        for code, _, build in parts:
-            self._build.append((build, at))
-            at += len(code)
+        self._build = _builders(parts)
         self._is_plain = self._tail is None and all(
             field.type.count is None and field.type.element in _CODES for field in fixed
         )
@@ -313,7 +312,13 @@ def name_on_wire(kind: type[Any], own: str) -> str:
     return names.get(own, own)
 
 
-def _part(kind: Type, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
+def _builders(parts: Sequence[_Part]) -> list[tuple[_Build, int]]:
+    """Return what builds each value, and where its scalars begin."""
+    starts = accumulate((len(code) for code, _, _ in parts), initial=0)
+    return [(build, at) for (_, _, build), at in zip(parts, starts, strict=False)]
+
+
+def _part(kind: Type, types: PythonTypes) -> _Part:
     """Return the codes of `struct` for a type that is not open, and how to take it apart."""
     code, flatten, build = _element(kind.element, types)
     if kind.count is None:
@@ -345,7 +350,7 @@ def items_of(value: Any, field: Field) -> Sequence[Any]:
     raise WrongArgument(f"{field.name} is an array, {field.type}, not {value!r:.60}")
 
 
-def _element(element: Element, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
+def _element(element: Element, types: PythonTypes) -> _Part:
     if isinstance(element, Structure):
         return _structure(element, types)
     if isinstance(element, Enumeration):
@@ -363,11 +368,7 @@ def _element(element: Element, types: PythonTypes) -> tuple[str, _Flatten, _Buil
             raise WrongArgument(f"{name} is {_takes(element)}, not {value!r:.60}") from None
         flat.append(value)
 
-    return code, flatten, _scalar
-
-
-def _scalar(flat: Sequence[Any], at: int) -> Any:
-    return flat[at]
+    return code, flatten, operator.getitem
 
 
 def _takes(element: str) -> str:
@@ -379,7 +380,7 @@ def _takes(element: str) -> str:
     return f"an integer of {allowed[0]} to {allowed[-1]} ({element})"
 
 
-def _enumeration(element: Enumeration, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
+def _enumeration(element: Enumeration, types: PythonTypes) -> _Part:
     members = {int(member): member for member in types.enum(element)}
     by_name = {member.name: number for number, member in members.items()} | dict(element.values)
 
@@ -401,18 +402,14 @@ def _enumeration(element: Enumeration, types: PythonTypes) -> tuple[str, _Flatte
     return _CODES[element.integer], flatten, build
 
 
-def _structure(element: Structure, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
+def _structure(element: Structure, types: PythonTypes) -> _Part:
     made = types.structure(element)
     parts = [_part(field.type, types) for field in element.fields]
     names = [field.name for field in element.fields]
     attributes = [python_names(names)]
     if dataclasses.is_dataclass(made):  # of the user, who may call a field as others do not: _x
         attributes.insert(0, [field.name for field in dataclasses.fields(made)])
-    starts: list[int] = []
-    at = 0
-    for code, _, _ in parts:
-        starts.append(at)
-        at += len(code)
+    builders = _builders(parts)
 
     def flatten(value: Any, name: str, flat: list[Any]) -> None:
         values = _members(value, names, attributes)
@@ -424,9 +421,7 @@ def _structure(element: Structure, types: PythonTypes) -> tuple[str, _Flatten, _
             inner(one, f"{name}.{field}", flat)
 
     def build(flat: Sequence[Any], at: int) -> Any:
-        return made(
-            *(inner(flat, at + start) for (_, _, inner), start in zip(parts, starts, strict=True))
-        )
+        return made(*(inner(flat, at + start) for inner, start in builders))
 
     return "".join(code for code, _, _ in parts), flatten, build
 

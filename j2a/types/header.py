@@ -13,15 +13,15 @@ from j2a_spec.printable import printable
 from j2a.types.model import INTEGERS, Enumeration, Field, Interface, Structure
 from j2a.types.naming import CNames
 
-__all__ = ["CDefinitions", "c_comment", "c_header", "c_integer"]
+__all__ = ["C_TYPES", "CDefinitions", "c_comment", "c_header", "c_integer"]
 
-_PLAIN: Final = {
+C_TYPES: Final = {
     **{name: f"{'u' if name[0] == 'u' else ''}int{bits}_t" for name, bits in INTEGERS.items()},
     "bool": "bool",
     "f32": "float",
     "f64": "double",
 }
-
+"""What each element that is one number is in C."""
 _INT_MAX: Final = 0x7FFFFFFF
 _INT64_MAX: Final = 0x7FFFFFFFFFFFFFFF
 
@@ -109,7 +109,7 @@ class CDefinitions:
             yield from (f"}} {name};", "")
             return
         # C has no enumerators that are longer than an int.
-        yield f"typedef {_PLAIN[definition.integer]} {name};"
+        yield f"typedef {C_TYPES[definition.integer]} {name};"
         yield from (f"#define {value} {c_integer(number)}" for value, number in values)
         self._macros.update(value for value, _ in values)
         yield ""
@@ -117,7 +117,7 @@ class CDefinitions:
     def member(self, field: Field, name: str) -> str:
         """Return the declaration of a field under a name; its unit is a comment."""
         element = field.type.element
-        kind = _PLAIN[element] if isinstance(element, str) else self._types[element.name]
+        kind = C_TYPES[element] if isinstance(element, str) else self._types[element.name]
         count = f"[{field.type.count}]" if field.type.count else ""
         unit = f" /* {c_comment(field.type.unit)} */" if field.type.unit else ""
         return f"{kind} {name}{count};{unit}"

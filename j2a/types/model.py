@@ -4,7 +4,6 @@ What flows in: the pieces, from the parser or from annotated Python functions. W
 objects whose `str()` is their text on the wire (SPEC.md, sections 19 and 20).
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -179,7 +178,7 @@ class Described:
         is_many: it is made for a2jMany.
         content: the type of what a2jMany transfers, or None where only the user knows it.
         idempotent: executing it twice does the same as once.
-        slow_ms: how long it may take in milliseconds, or None.
+        slow_ms: how long it may take in milliseconds, or None; of several `!slow` the last counts.
         doc: one line for people, or "".
     """
 
@@ -238,13 +237,8 @@ class Interface:
     functions: tuple[Described, ...] = ()
 
     def __str__(self) -> str:
-        return "".join(f"{line}\n" for line in self._lines())
-
-    def _lines(self) -> Iterator[object]:
-        yield from self.types
-        yield from self.sifs
-        yield ""
-        yield from self.functions
+        lines = (*self.types, *self.sifs, "", *self.functions)
+        return "".join(f"{line}\n" for line in lines)
 
 
 def _list(fields: tuple[Field, ...]) -> str:

@@ -11,8 +11,8 @@ import re
 from collections.abc import Callable, Container, Iterator
 from typing import Final
 
-from j2a.types.model import Enumeration, Field, Structure, Type
-from j2a.types.naming import is_reserved
+from j2a.types.model import INTEGERS, Enumeration, Field, Structure, Type
+from j2a.types.naming import free_name, is_reserved
 from j2a.types.transducers import Descriptors, Transducer
 
 __all__ = [
@@ -29,16 +29,11 @@ PACKAGE: Final = "j2a_msgs"
 """The name of the package."""
 
 _NUMBERS: Final = {
-    **{
-        f"{s}{bits}": f"{'u' if s == 'u' else ''}int{bits}"
-        for s in "ui"
-        for bits in (8, 16, 32, 64)
-    },
+    **{name: f"{'u' if name[0] == 'u' else ''}int{bits}" for name, bits in INTEGERS.items()},
     "bool": "bool",
     "f32": "float32",
     "f64": "float64",
 }
-
 
 _BUILTIN: Final = frozenset(
     {*_NUMBERS.values(), "string", "wstring", "byte", "char", "time", "duration", "Header"}
@@ -125,12 +120,9 @@ class _Names:
 
 def _free(name: str, taken: set[str]) -> str:
     """Return a name that differs from those in `taken` in more than case; then it is taken, too."""
-    made, number = name, 1
-    while made.lower() in taken:
-        number += 1
-        made = f"{name}{number}"
-    taken.add(made.lower())
-    return made
+    free = free_name(name.lower(), taken)
+    taken.add(free)
+    return name + free[len(name) :]
 
 
 def _constants(types: list[Type], taken: set[str]) -> Iterator[str]:

@@ -24,6 +24,7 @@ from j2a.types.definition_file import (
     type_text,
 )
 from j2a.types.descriptors import parse_transducer
+from j2a.types.header import C_TYPES
 from j2a.types.macros import Arguments, MacroReader, Node, Opener, Word, bare_text
 from j2a.types.model import Enumeration, Field, Structure
 from j2a.types.naming import C_KEYWORDS
@@ -34,15 +35,8 @@ __all__ = ["read_transds", "strange_keys", "transds_text"]
 
 _KINDS: Final = {"SENSOR": "sensor", "SENSOR_EX": "sensor", "ACTUATOR": "actuator"}
 _FIELDS: Final = ("a name", "an id", "a prefix", "a model", "a number of channels", "a type")
-_C_TYPES: Final = {
-    **{
-        f"{sign}int{bits}_t": f"{sign or 'i'}{bits}"
-        for sign in ("", "u")
-        for bits in (8, 16, 32, 64)
-    },
-    "float": "f32",
-    "double": "f64",
-}
+_C_NAMES: Final = {name: c_name for name, c_name in C_TYPES.items() if name != "bool"}
+_C_TYPES: Final = {c_name: name for name, c_name in _C_NAMES.items()}
 _OF_ANY_SIZE: Final = {
     "char": ("int8_t", "uint8_t"),
     "int": ("int16_t", "int32_t"),
@@ -64,7 +58,6 @@ _QUOTED: Final = re.compile(r"\".*\"|'.+'")  # '' is the second of arc, a unit
 _ASSIGNED: Final = re.compile(rf"({NAME.pattern})\s*[=:]\s*(.+)")
 _UNQUOTED: Final = re.compile(r"[^\s(),\"'\\]+(?: [^\s(),\"'\\]+)*")
 _BOOL: Final = re.compile(r"\bbool\b")
-_C_NAMES: Final = {name: c_name for c_name, name in _C_TYPES.items()}
 
 
 def read_transds(

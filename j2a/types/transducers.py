@@ -6,7 +6,7 @@ What flows in: the pieces, from the parser, or from a `transds.def`. What flows 
 
 import math
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -262,12 +262,7 @@ def shortest_f32(number: float) -> float:
 
 def number_element(kind: Type) -> str | None:
     """Return the scalar that holds a value of a type, None for structures and arrays."""
-    element = kind.element
-    if isinstance(element, Enumeration):
-        element = element.integer
-    if kind.count is not None or isinstance(element, Structure) or element not in SCALARS:
-        return None
-    return element
+    return None if kind.count is not None else _scalar(kind)
 
 
 def numbers_element(kind: Type) -> str | None:
@@ -275,9 +270,14 @@ def numbers_element(kind: Type) -> str | None:
 
     Returns: None for structures and `bool`, which have neither.
     """
-    element = number_element(replace(kind, count=None)) if kind.count is not None else None
-    element = element or number_element(kind)
+    element = _scalar(kind)
     return None if element == "bool" else element
+
+
+def _scalar(kind: Type) -> str | None:
+    """Return the scalar of a value, or of each element of an array."""
+    element = kind.element.integer if isinstance(kind.element, Enumeration) else kind.element
+    return element if isinstance(element, str) and element in SCALARS else None
 
 
 def longest_sample(transducer: Transducer) -> int:
