@@ -13,6 +13,7 @@ import threading
 from typing import Any, Final
 
 import j2a_transports
+from j2a_spec.plural import counted
 
 from j2a.io.handlers import is_told
 from j2a.io.threads import start_thread
@@ -156,7 +157,8 @@ class SyncBoard:
             self._lost += 1
             self.problem = str(error)
             if is_told(self._lost):
-                _logger.warning("%s: %d packets were lost so far: %s", self.name, self._lost, error)
+                lost = counted(self._lost, "packet was", "packets were")
+                _logger.warning("%s: %s lost so far: %s", self.name, lost, error)
         else:
             self._packets += 1
             self.problem = None

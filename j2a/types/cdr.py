@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from j2a_spec.constants import MAX_PAYLOAD
+from j2a_spec.plural import counted
 
 from j2a.types.model import Structure, Type, element_size
 from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Transducer
@@ -70,7 +71,7 @@ class SampleMessage:
         start = LOST_BYTES if self._has_queue else 0
         count, rest = divmod(length - start, self._entry)
         if rest or count < 1 or length > MAX_PAYLOAD:
-            raise ValueError(f"{length} bytes are no sample")
+            raise ValueError(f"{counted(length, 'byte is', 'bytes are')} no sample")
         values = "".join(f"{size}s" for size in self._sizes)
         payload = f"<{start}s" + f"{'s' * self._has_queue}Q{values}" * count
         message = _Format()
@@ -94,7 +95,7 @@ class SampleMessage:
         times = []
         count = source.count(_TIME.size)
         if not (1 <= count <= MAX_PAYLOAD if self._has_queue else count == self._channels):
-            raise ValueError(f"a message has {count} times, which no sample has")
+            raise ValueError(f"a message has {counted(count, 'time')}, which no sample has")
         for _ in range(count):
             seconds, ns = _TIME.unpack(source.take(_TIME.size, 4))
             times.append((seconds * _US + ns // _NS_PER_US).to_bytes(TIME_BYTES, "little"))

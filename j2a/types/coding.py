@@ -20,6 +20,7 @@ from numbers import Integral
 from typing import Any, Final
 
 from j2a_spec.constants import MAX_PAYLOAD
+from j2a_spec.plural import counted
 
 from j2a.errors import WrongArgument
 from j2a.types.model import OPEN, Element, Enumeration, Field, Structure, Type, integer_range
@@ -148,7 +149,7 @@ class Codec:
             except _NO_NUMBER:
                 pass  # the slow way finds out why
         if len(values) != len(self.fields):
-            raise WrongArgument(f"{len(self.fields)} values are expected, not {len(values)}")
+            raise self._wrong_number(len(values))
         flat: list[Any] = []
         for field, value, flatten in zip(self.fields, values, self._flatten, strict=False):
             flatten(value, field.name, flat)
@@ -162,6 +163,10 @@ class Codec:
             )
         return payload
 
+    def _wrong_number(self, given: int) -> WrongArgument:
+        expected = counted(len(self.fields), "value is", "values are")
+        return WrongArgument(f"{expected} expected, not {given}")
+
     def pack_named(self, values: Sequence[Any], named: Mapping[str, Any]) -> bytes:
         """Return the payload for values in order and by name, as Python passes arguments.
 
@@ -171,7 +176,7 @@ class Codec:
         found = dict(zip(self._names, values, strict=False))
         own = dict(zip(self.python_names, self._names, strict=True))
         if len(values) > len(self._names):
-            raise WrongArgument(f"{len(self._names)} values are expected, not {len(values)}")
+            raise self._wrong_number(len(values))
         for given, value in named.items():
             name = own.get(given, given)
             if name not in self._names:
@@ -191,7 +196,9 @@ class Codec:
         """
         size = self._struct.size
         if len(payload) != size and (self._tail is None or len(payload) < size):
-            raise PayloadMismatchError(f"{len(payload)} bytes came, where {size} are described")
+            came = counted(len(payload), "byte")
+            described = counted(size, "is", "are")
+            raise PayloadMismatchError(f"{came} came, where {described} described")
         if self._is_plain:
             return self._struct.unpack(payload)
         flat = self._struct.unpack_from(payload)
@@ -216,9 +223,8 @@ class Codec:
         else:
             raise WrongArgument(f"{field.name} takes bytes, not {value!r:.60}")
         if field.type.count is not None and len(data) > field.type.count:
-            raise WrongArgument(
-                f"{field.name} is at most {field.type.count} bytes long, not {len(data)}"
-            )
+            most = counted(field.type.count, "byte")
+            raise WrongArgument(f"{field.name} is at most {most} long, not {len(data)}")
         return data
 
     def pack_item(self, value: Any, name: str) -> bytes:
@@ -236,7 +242,8 @@ class Codec:
                 self._element.unpack(data[at : at + size])[0] for at in range(0, len(data), size)
             )
         if field.type.count is not None and len(data) > field.type.count:
-            raise PayloadMismatchError(f"{field.name} is longer than {field.type.count} bytes")
+            most = counted(field.type.count, "byte")
+            raise PayloadMismatchError(f"{field.name} is longer than {most}")
         if field.type.element == "bytes":
             return data
         try:

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from html import escape
 from typing import Any, Final
 
+from j2a_spec.plural import counted
+
 from j2a.types.model import Enumeration, Structure
 from j2a.types.samples import number_text
 from j2a.types.transducers import (
@@ -113,7 +115,10 @@ def _timing(one: Transducer) -> Rows:
     yield "Least period of samples", f"{one.period_us} µs" if one.period_us else "as they come"
     if one.queue:
         entry = 1 + TIME_BYTES + one.type.size
-        yield "Kept until sent", f"{one.queue} values, {entry} bytes each, {LOST_BYTES} in front"
+        yield (
+            "Kept until sent",
+            f"{counted(one.queue, 'value')}, {entry} bytes each, {LOST_BYTES} in front",
+        )
     else:
         yield "Kept until sent", f"the newest value of each channel, {longest_sample(one)} bytes"
     yield "Sampled on request", "yes" if one.has("trigger") else "no"

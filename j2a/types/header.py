@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+from j2a_spec.plural import counted
 from j2a_spec.printable import printable
 
 from j2a.types.model import INTEGERS, Enumeration, Field, Interface, Structure
@@ -91,7 +92,7 @@ class CDefinitions:
             if isinstance(definition, Enumeration):
                 yield from self._enumeration(definition, name)
                 continue
-            yield f"/* {definition.size} bytes in payloads, where there is no padding */"
+            yield f"/* {counted(definition.size, 'byte')} in payloads, where there is no padding */"
             yield "typedef struct {"
             elements = [field.type.element for field in definition.fields]
             names = [self._types[one.name] for one in elements if not isinstance(one, str)]

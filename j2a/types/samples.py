@@ -15,6 +15,7 @@ from numbers import Integral, Real
 from typing import Any, Final
 
 from j2a_spec import constants as c
+from j2a_spec.plural import counted
 
 from j2a.errors import WrongArgument
 from j2a.events import Reading, Readings
@@ -120,8 +121,9 @@ class SampleCodec:
             )
         size = TIME_BYTES + self._size
         if len(payload) != size * self.transducer.channels:
+            came = counted(len(payload), "byte")
             raise PayloadMismatchError(
-                f"{len(payload)} bytes came, where a sample has {size * self.transducer.channels}"
+                f"{came} came, where a sample has {size * self.transducer.channels}"
             )
         return tuple(
             self._one(channel, payload[channel * size : (channel + 1) * size])
@@ -137,9 +139,9 @@ class SampleCodec:
         size = 1 + TIME_BYTES + self._size
         count, rest = divmod(len(payload) - LOST_BYTES, size)
         if count < 1 or rest:
+            came = counted(len(payload), "byte")
             raise PayloadMismatchError(
-                f"{len(payload)} bytes came, where a sample has {LOST_BYTES} and {size} for each "
-                "value"
+                f"{came} came, where a sample has {LOST_BYTES} and {size} for each value"
             )
         readings = []
         for at in range(LOST_BYTES, len(payload), size):
@@ -202,8 +204,8 @@ class SampleCodec:
             raise WrongArgument(f"{name} has channels 0 to {channels - 1}, and none {first!r}")
         if first + len(values) > channels:
             raise WrongArgument(
-                f"{name}: {len(values)} values from channel {first} on, where there are {channels} "
-                "channels"
+                f"{name} has {counted(channels, 'channel')}, which leaves no room for "
+                f"{counted(len(values), 'value')} from channel {first} on"
             )
         raws = [value if is_raw else self.raw_of(value) for value in values]
         for raw in raws:
@@ -211,7 +213,9 @@ class SampleCodec:
         data = b"".join(self._codec.pack([raw]) for raw in raws)
         payload = bytes([first]) + pack_time(time_us) + data
         if len(payload) > c.MAX_PAYLOAD - 2:
-            raise WrongArgument(f"{name}: {len(values)} values do not fit into a frame")
+            raise WrongArgument(
+                f"{name}: {counted(len(values), 'value does', 'values do')} not fit into a frame"
+            )
         return payload
 
     def raw_of(self, value: Any) -> Any:

@@ -134,7 +134,7 @@ def test_an_order_fits_into_a_frame_to_its_last_byte(size):
     if size <= 255 - 2 - 9:
         assert len(codec.pack_set([[0] * size], 0, 5)) == 9 + size
     else:
-        with pytest.raises(WrongArgument, match="1 values do not fit"):
+        with pytest.raises(WrongArgument, match="1 value does not fit"):
             codec.pack_set([[0] * size], 0, 5)
 
 

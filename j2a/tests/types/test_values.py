@@ -152,6 +152,8 @@ def test_an_enumeration_may_be_given_by_name(value):
     ("fields", "values", "message"),
     [
         ("(a i32, b i32)", (1,), "2 values are expected, not 1"),
+        ("(a i32)", (), "1 value is expected, not 0"),
+        ("(t text[1])", ("ä",), "t is at most 1 byte long, not 2"),
         ("(a i32, b i32)", (1, 2, 3), "2 values are expected, not 3"),
         ("(a i32, b i32)", (1, 2**31), "b is an integer of -2147483648 to 2147483647 (i32), not"),
         ("(a u8)", (256,), "a is an integer of 0 to 255 (u8), not 256"),
@@ -208,6 +210,19 @@ def test_what_the_signature_does_not_admit_is_refused(fields, values, message):
 )
 def test_a_payload_of_another_size_is_refused(fields, payload):
     with pytest.raises(PayloadMismatchError):
+        codec(fields).unpack(payload)
+
+
+@pytest.mark.parametrize(
+    ("fields", "payload", "message"),
+    [
+        ("(a u16)", b"\0", "1 byte came, where 2 are described"),
+        ("(a u8)", b"\0\0", "2 bytes came, where 1 is described"),
+        ("(t text[1])", b"ab", "t is longer than 1 byte"),
+    ],
+)
+def test_one_byte_is_told_in_the_singular(fields, payload, message):
+    with pytest.raises(PayloadMismatchError, match=f"^{message}$"):
         codec(fields).unpack(payload)
 
 
