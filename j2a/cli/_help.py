@@ -12,6 +12,7 @@ import re
 import shutil
 import textwrap
 from collections.abc import Iterator
+from itertools import groupby
 
 _LEAST_WIDTH = 20
 """Columns that are still read well beside others."""
@@ -40,17 +41,9 @@ def fitted(text: str, width: int | None = None) -> str:
 
 def _parts(lines: list[str]) -> Iterator[list[str]]:
     """Yield the paragraphs, and each other line by itself."""
-    paragraph: list[str] = []
-    for line in lines:
-        if line and not line.startswith(" "):
-            paragraph.append(line)
-            continue
-        if paragraph:
-            yield paragraph
-            paragraph = []
-        yield [line]
-    if paragraph:
-        yield paragraph
+    for is_paragraph, group in groupby(lines, lambda line: line[:1] not in ("", " ")):
+        part = list(group)
+        yield from [part] if is_paragraph else ([line] for line in part)
 
 
 def _fit(lines: list[str], width: int) -> list[str]:
@@ -65,7 +58,8 @@ def _fit(lines: list[str], width: int) -> list[str]:
     if width - len(left) >= _LEAST_WIDTH:
         return _wrapped(right, width, " " * len(left), first=left)
     indent = " " * 6
-    return [left.rstrip(), *_wrapped(right, max(width, _LEAST_WIDTH), indent, first=indent)]
+    head = [left.rstrip()] if left.strip() else []
+    return [*head, *_wrapped(right, max(width, _LEAST_WIDTH), indent, first=indent)]
 
 
 def _wrapped(text: str, width: int, indent: str, first: str = "") -> list[str]:

@@ -6,8 +6,6 @@ Rules: it loads all drivers, so it is asked when help is printed, and not before
 
 from __future__ import annotations
 
-import shutil
-import textwrap
 from collections.abc import Iterable, Mapping
 from typing import Final, Literal
 
@@ -16,7 +14,6 @@ from j2a_transports import COMMON_OPTIONS, OpenFailed, Option, Usage
 
 _URL_COLUMNS: Final = 36
 _NAME_COLUMNS: Final = 12
-_LEAST_WIDTH: Final = 40
 
 
 def url_list() -> str:
@@ -73,10 +70,7 @@ def _names(options: Iterable[Option]) -> str:
 def _table(rows: Iterable[tuple[str, str]], columns: int) -> str:
     """Lay rows out as argparse does: a left text of many columns has a line of its own."""
     indent = " " * (2 + columns)
-    width = max(shutil.get_terminal_size().columns - len(indent) - 2, _LEAST_WIDTH)
-    lines = []
-    for left, right in rows:
-        text = textwrap.fill(right, width).replace("\n", f"\n{indent}")
-        gap = " " * (columns - len(left)) if len(left) < columns else f"\n{indent}"
-        lines.append(f"  {left}{gap}{text}")
-    return "\n".join(lines)
+    return "\n".join(
+        f"  {left:<{columns}}{right}" if len(left) < columns else f"  {left}\n{indent}{right}"
+        for left, right in rows
+    )

@@ -53,6 +53,12 @@ def test_help_fits_the_terminal(run, monkeypatch, command, columns):
         assert said[columns].split() == said[1000].split()
 
 
+def test_help_on_a_narrow_terminal_breaks_a_line_once(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "50")
+    urls = run("--help").out.partition("named by its URL:\n")[2].partition("exit codes")[0]
+    assert "\n\n" not in urls.strip()
+
+
 class Point:
     """An entry point of another package."""
 
