@@ -7,7 +7,9 @@ the link or the device never shows a traceback.
 
 from __future__ import annotations
 
+import contextlib
 import signal
+from collections.abc import Iterator
 from types import FrameType
 from typing import Final
 
@@ -76,6 +78,15 @@ class CommandFailed(Exception):  # noqa: N818 - the name says what happened
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message)
         self.code = code
+
+
+@contextlib.contextmanager
+def file_errors(failed: str) -> Iterator[None]:
+    """Make an error of a file a `UsageError` that begins with what failed, as "cannot read x"."""
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(f"{failed}: {error.strerror}") from None
 
 
 def end_on_signals() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from j2a_spec.plural import counted
 
-from j2a.cli._exit import OK, UsageError
+from j2a.cli._exit import OK, UsageError, file_errors
 from j2a.cli._link import (
     add_link_arguments,
     add_progress_argument,
@@ -62,10 +62,8 @@ def run(args: argparse.Namespace) -> int:
     if target is None:
         show_bytes(data)
         return OK
-    try:
+    with file_errors(f"cannot write to {args.output!r}"):
         target.write_bytes(data)
-    except OSError as error:
-        raise UsageError(f"cannot write to {args.output!r}: {error.strerror}") from None
     rate = size_text(len(data) / took_s)
     size = counted(len(data), "byte")
     note(f"{size} read to {args.output} in {took_s:.2f} s ({rate}/s)")

@@ -14,7 +14,7 @@ from typing import Final
 
 from j2a_spec.plural import counted
 
-from j2a.cli._exit import OK, UsageError
+from j2a.cli._exit import OK, UsageError, file_errors
 from j2a.cli._info import interface_facts
 from j2a.cli._link import (
     add_condition_arguments,
@@ -74,10 +74,8 @@ def run(args: argparse.Namespace) -> int:
     if args.output is None:
         show_text(text)
         return OK
-    try:
+    with file_errors(f"cannot write {args.output}"):
         args.output.write_text(text, "utf-8")
-    except OSError as error:
-        raise UsageError(f"cannot write {args.output}: {error.strerror}") from None
     described = sum(line.signature is not None for line in interface.functions)
     functions = counted(described, "function")
     show(f"wrote {args.output}: {functions} of the interface {digest}")
@@ -92,11 +90,10 @@ def _interface(args: argparse.Namespace) -> tuple[Interface, str, str]:
         is_off = options.get("J2A_WITH_TRANSDUCERS") == "0"
         has_transducers = not is_off and path.with_name("transds.def").exists()
         try:
-            text = read_source(path)
+            with file_errors(f"cannot read {path}"):
+                text = read_source(path)
             own = interface_text(text, options, has_transducers=has_transducers)
             interface = read_definition_file(text, options, has_transducers=has_transducers)
-        except OSError as error:
-            raise UsageError(f"cannot read {path}: {error.strerror}") from None
         except SignatureError as error:
             place = f"{path}:{error.line}:{error.position + 1}"
             raise UsageError(f"{place}: {error.reason}") from None

@@ -13,7 +13,7 @@ from typing import Final
 
 from j2a_spec.plural import counted
 
-from j2a.cli._exit import LINK, OK, CommandFailed, UsageError
+from j2a.cli._exit import LINK, OK, CommandFailed, UsageError, file_errors
 from j2a.cli._link import (
     add_json_argument,
     add_link_options,
@@ -26,7 +26,7 @@ from j2a.cli._sync_verify import verify
 from j2a.syncd.history import Round, rounds_of
 from j2a.syncd.numbering import SHORT
 from j2a.syncd.plot import draw, panels_of
-from j2a.syncd.singleton import NotRunning, ask, folders
+from j2a.syncd.singleton import NotRunning, ask_any
 
 _COUNT: Final = 20
 _OF_VERIFY: Final = {
@@ -111,10 +111,9 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError(f"{args.what} takes no --{option}, only verify does")
     if args.what == "plot":
         boards = _history()
-        try:
-            args.output.write_text(draw("Clocks of J2A boards", panels_of(boards)), "utf-8")
-        except OSError as error:
-            raise UsageError(f"cannot write {args.output}: {error.strerror}") from None
+        plot = draw("Clocks of J2A boards", panels_of(boards))
+        with file_errors(f"cannot write {args.output}"):
+            args.output.write_text(plot, "utf-8")
         count = sum(map(len, boards.values()))
         if args.json:
             rounds = {board: len(those) for board, those in boards.items()}
@@ -148,17 +147,13 @@ def _list(value: object) -> list[object]:
 
 
 def _ask(request: dict[str, object]) -> dict[str, object]:
-    errors = []
-    for folder in folders():
-        try:
-            reply = ask(folder, request)
-        except NotRunning as error:
-            errors.append(str(error))
-            continue
-        if "error" in reply:
-            raise CommandFailed(f"the daemon says: {reply['error']}", LINK)
-        return reply
-    raise CommandFailed("; ".join(errors), LINK)
+    try:
+        reply = ask_any(request)
+    except NotRunning as error:
+        raise CommandFailed(str(error), LINK) from None
+    if "error" in reply:
+        raise CommandFailed(f"the daemon says: {reply['error']}", LINK)
+    return reply
 
 
 def _show(status: dict[str, object]) -> None:

@@ -29,7 +29,7 @@ from j2a.cli._output import note, show
 from j2a.cli._setup import GROUP
 from j2a.syncd.daemon import MAX_BOARDS, Daemon
 from j2a.syncd.realtime import realtime
-from j2a.syncd.singleton import LIMIT_S, NotRunning, Server, Taken, ask, folders
+from j2a.syncd.singleton import LIMIT_S, NotRunning, Server, Taken, ask_any, folders
 
 NOTES = """\
 examples:
@@ -191,14 +191,14 @@ def _tell(args: argparse.Namespace) -> str | None:
     request: dict[str, Any] = {"command": "look", "urls": args.urls}
     if args.busnum is not None:
         request["only"] = [args.busnum, args.device]
-    for folder in folders():
-        with contextlib.suppress(NotRunning):
-            reply = ask(folder, request)
-            if "error" in reply:
-                raise UsageError(f"the daemon that runs already says: {reply['error']}")
-            told = f"a daemon runs already (process {reply.get('pid')}) and looks for boards"
-            return told + _left_out(args)
-    return None
+    try:
+        reply = ask_any(request)
+    except NotRunning:
+        return None
+    if "error" in reply:
+        raise UsageError(f"the daemon that runs already says: {reply['error']}")
+    told = f"a daemon runs already (process {reply.get('pid')}) and looks for boards"
+    return told + _left_out(args)
 
 
 def _left_out(args: argparse.Namespace) -> str:

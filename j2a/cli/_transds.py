@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from j2a_spec.printable import printable
 
 import j2a
 from j2a.cli._descriptors import aligned, transducer_facts
-from j2a.cli._exit import OK, REMOTE, CommandFailed, UsageError
+from j2a.cli._exit import OK, REMOTE, CommandFailed, UsageError, file_errors
 from j2a.cli._link import (
     add_condition_arguments,
     add_json_argument,
@@ -74,7 +75,13 @@ def run(args: argparse.Namespace) -> int:
     files = _distinct(_files(args, descriptors, source), Path(args.url))
     changed = _changed_messages(files)
     if args.json:
-        show_json(facts(descriptors, source))
+        show_json(
+            {
+                "source": source,
+                "types": [str(one) for one in descriptors.types],
+                "transducers": [transducer_facts(one) for one in descriptors.transducers],
+            }
+        )
     elif not files:
         for line in table(descriptors):
             show(line)
@@ -128,17 +135,14 @@ def read_transds_argument(
         UsageError: it is wrong; the text tells file, line and column.
     """
     try:
-        descriptors = load_transds(path, options, warn=_warn, are_boards=are_boards)
+        with file_errors(f"cannot read {path}"):
+            descriptors = load_transds(
+                path, options, warn=lambda text: note(f"j2a: {text}"), are_boards=are_boards
+            )
         return descriptors, Path(path).name
     except j2a.SignatureError as error:
         place = f"{error.file}:{error.line}:{error.position + 1}"
         raise UsageError(f"{place}: {error.reason}") from None
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}") from None
-
-
-def _warn(text: str) -> None:
-    note(f"j2a: {text}")
 
 
 def _files(
@@ -198,7 +202,7 @@ def _written(text: str) -> str:
 
 
 def write_files(files: Mapping[Path, str]) -> None:
-    """Write files by path, each as a whole.
+    """Write files by path, each as a whole; one that is there keeps its permissions.
 
     Raises:
         UsageError: one cannot be written.
@@ -207,14 +211,17 @@ def write_files(files: Mapping[Path, str]) -> None:
         if not path.name:
             raise UsageError(f"{path} is a folder: name a file in it")
         part = path.with_name(f"{path.name}.part")  # a full disk spoils no file that is there
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            part.write_text(_written(text), "utf-8", newline="\n")
-            part.replace(path)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
-            raise UsageError(f"cannot write {path}: {error.strerror}") from None
+        with file_errors(f"cannot write {path}"):
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                part.write_text(_written(text), "utf-8", newline="\n")
+                with contextlib.suppress(FileNotFoundError):
+                    shutil.copymode(path, part)
+                part.replace(path)
+            except OSError:
+                with contextlib.suppress(OSError):
+                    part.unlink(missing_ok=True)
+                raise
 
 
 def table(descriptors: Descriptors) -> Iterator[str]:
@@ -234,12 +241,3 @@ def _row(one: Transducer) -> tuple[str, ...]:
         *(str(one.id), one.kind, one.name, str(one.channels), str(one.type), one.model),
         "; ".join(more),
     )
-
-
-def facts(descriptors: Descriptors, source: str) -> dict[str, object]:
-    """Return the descriptors as JSON."""
-    return {
-        "source": source,
-        "types": [str(one) for one in descriptors.types],
-        "transducers": [transducer_facts(one) for one in descriptors.transducers],
-    }

@@ -25,7 +25,7 @@ from typing import Any, Final
 
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 
-__all__ = ["NotRunning", "Server", "Taken", "ask", "folders"]
+__all__ = ["NotRunning", "Server", "Taken", "ask", "ask_any", "folders"]
 
 _logger = logging.getLogger("j2a.syncd")
 SOCKET: Final = "syncd.sock"
@@ -290,13 +290,28 @@ def ask(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
             connection.settimeout(LIMIT_S)
             _connect(connection, os.fspath(path))
             connection.sendall(json.dumps(request).encode() + b"\n")
-            reply = json.loads(_line(connection, MAX_REPLY, LIMIT_S))
+            reply = json.loads(_line(connection))
     except (OSError, ValueError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise NotRunning(f"no daemon answers at {path}: {why}; start one: j2a syncd") from None
     if not isinstance(reply, dict):
         raise NotRunning(f"what answers at {path} is no j2a syncd")
     return reply
+
+
+def ask_any(request: dict[str, Any]) -> dict[str, Any]:
+    """Ask the daemon of this user, or else that of the system; return the reply.
+
+    Raises:
+        NotRunning: neither answers.
+    """
+    errors = []
+    for folder in folders():
+        try:
+            return ask(folder, request)
+        except NotRunning as error:
+            errors.append(str(error))
+    raise NotRunning("; ".join(errors))
 
 
 def _connect(connection: socket.socket, path: str) -> None:
@@ -311,23 +326,23 @@ def _connect(connection: socket.socket, path: str) -> None:
             time.sleep(_RETRY_S)
 
 
-def _line(connection: socket.socket, limit: int, limit_s: float) -> bytes:
+def _line(connection: socket.socket) -> bytes:
     """Read up to a line feed or the end.
 
     Raises:
-        TimeoutError: it takes longer than `limit_s`.
-        ValueError: it is longer than `limit` bytes.
+        TimeoutError: it takes longer than LIMIT_S.
+        ValueError: it is longer than MAX_REPLY bytes.
     """
     parts, length = [], 0
-    deadline = time.monotonic() + limit_s
-    while length <= limit:
+    deadline = time.monotonic() + LIMIT_S
+    while length <= MAX_REPLY:
         left_s = deadline - time.monotonic()
         if left_s <= 0:
-            raise TimeoutError(f"it took longer than {limit_s:g} s")
+            raise TimeoutError(f"it took longer than {LIMIT_S:g} s")
         connection.settimeout(left_s)
         part = connection.recv(65536)
         parts.append(part)
         length += len(part)
         if not part or part.endswith(b"\n"):
             return b"".join(parts)
-    raise ValueError(f"it is longer than {limit} bytes")
+    raise ValueError(f"it is longer than {MAX_REPLY} bytes")

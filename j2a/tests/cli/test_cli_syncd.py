@@ -77,7 +77,8 @@ def test_a_second_one_tells_the_first_and_ends(run, daemon):
 
 def test_a_second_one_tells_the_first_which_board_it_means(run, daemon, monkeypatch):
     asked = []
-    monkeypatch.setattr("j2a.cli._syncd.ask", lambda *what: asked.append(what[1]) or ask(*what))
+    answers = lambda *what: asked.append(what[1]) or ask(*what)  # noqa: E731
+    monkeypatch.setattr("j2a.syncd.singleton.ask", answers)
     assert run("syncd", "-b", "3", "-d", "9").code == 0
     assert asked[-1]["only"] == [3, 9]
     told = run("syncd", "-i", "10", "--realtime").out
@@ -92,7 +93,7 @@ def test_numbers_of_a_board_as_udev_writes_them(run, daemon, monkeypatch, words)
         asked.append(request["only"])
         return ask(folder, request)
 
-    monkeypatch.setattr("j2a.cli._syncd.ask", answers)
+    monkeypatch.setattr("j2a.syncd.singleton.ask", answers)
     assert run("syncd", "--no-usb", *words).code == 0
     assert asked == [[8, 19]]
 

@@ -219,6 +219,19 @@ def test_other_mistakes(run, transds, tmp_path):
     assert "did you mean period?" in run("transds", transds).err
 
 
+def test_a_file_that_is_there_keeps_its_permissions(run, transds, tmp_path):
+    page, new = tmp_path / "page.html", tmp_path / "new.html"
+    page.write_text("old")
+    page.chmod(0o600)
+    for path in (page, new):
+        assert run("transds", transds, "--html", path).code == 0
+    assert page.stat().st_mode & 0o777 == 0o600
+    assert "old" not in page.read_text()
+    new.chmod(0o640)
+    assert run("transds", transds, "--html", new).code == 0
+    assert new.stat().st_mode & 0o777 == 0o640
+
+
 def test_a_last_line_that_is_continued(run, transds, tmp_path):
     other = tmp_path / "other.def"
     other.write_text(LISTING_9_2.rstrip("\n") + " \\\r\n")
