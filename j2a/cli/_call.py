@@ -21,7 +21,7 @@ from j2a.cli._link import (
     telling_transducers,
 )
 from j2a.cli._output import note, show, show_bytes, show_json
-from j2a.cli._typed import VALUES_HELP, json_of, lines_of, takes_values, values_of
+from j2a.cli._typed import VALUES_HELP, described, json_of, lines_of, values_of
 from j2a.cli._values import PAYLOAD_HELP, Decoder, dump, payload_of, text_of
 
 NOTES = f"""\
@@ -80,12 +80,9 @@ def run(args: argparse.Namespace) -> int:
     if is_raw:
         payload = _payload(args.payload)
     with connect(args) as client, telling_transducers(client, args.function):
-        described = None if is_raw else client.functions.get(args.function)
-        if described is not None and takes_values(described, args.payload):
-            return _call_with_values(described, args)
         if payload is None:
-            if client.functions and args.function not in client.functions:
-                client.call(function)  # raises, and tells which names are near
+            if (found := described(client, function, args.payload)) is not None:
+                return _call_with_values(found, args)
             payload = _payload(args.payload)
         start = time.monotonic()
         try:

@@ -19,7 +19,7 @@ from j2a.cli._exit import LINK, OK, end_on_signals, error_facts, exit_code
 from j2a.cli._link import (
     add_json_argument,
     add_link_options,
-    connect_to,
+    connect,
     finite_seconds,
     whole_number,
 )
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     """Ask the boards; returns the exit code."""
     end_on_signals()
     with contextlib.ExitStack() as stack:
-        boards = [stack.enter_context(connect_to(args, url)) for url in args.urls]
+        boards = [stack.enter_context(connect(args, url)) for url in args.urls]
         if not args.discipline and not args.watch:
             return _once(boards, args)
         keepers = []

@@ -150,18 +150,18 @@ def add_progress_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def connect(args: argparse.Namespace) -> j2a.Client:
+def connect(args: argparse.Namespace, url: str | None = None) -> j2a.Client:
     """Open the link that the arguments describe.
+
+    Args:
+        args: of the command line.
+        url: of the device; `args.url` if it is not given.
 
     Raises:
         UsageError: an option is wrong.
         J2AError: as `j2a.connect`.
     """
-    return connect_to(args, args.url)
-
-
-def connect_to(args: argparse.Namespace, url: str) -> j2a.Client:
-    """Open a link with the options of the command line; raises as `connect`."""
+    url = args.url if url is None else url
     options: dict[str, object] = {} if args.baud is None else {"baud": args.baud}
     for option in args.option:
         name, equals, value = option.partition("=")
@@ -301,8 +301,8 @@ def finite_number(text: str) -> float:
 
 def positive_number(text: str) -> float:
     """Read a number above 0."""
-    value = _read(float, text, "a number")
-    if not 0 < value < math.inf:
+    value = finite_number(text)
+    if value <= 0:
         raise argparse.ArgumentTypeError(f"must be greater than 0, not {text}")
     return value
 

@@ -22,12 +22,13 @@ from j2a_spec.plural import counted
 import j2a
 from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_signals
 from j2a.cli._heartbeat import Pulse
-from j2a.cli._link import add_link_options, connect_to, finite_seconds, whole_number
+from j2a.cli._link import add_link_options, connect, finite_seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._progress import Progress, size_text
 from j2a.io.threads import start_thread
 from j2a.protocol.saved_settings import SavedSettings
 from j2a.recording import Recorder, check_package
+from j2a.types.naming import free_name
 from j2a.types.transducers import Descriptors, Transducer
 
 NOTES: Final = """\
@@ -284,7 +285,7 @@ def run(args: argparse.Namespace) -> int:
     check_package()  # now, as samples come as soon as the boards are there
     end_on_signals()
     with contextlib.ExitStack() as stack:
-        clients = [stack.enter_context(connect_to(args, url)) for url in args.urls]
+        clients = [stack.enter_context(connect(args, url)) for url in args.urls]
         for client in clients:
             if not any(isinstance(one, j2a.Sensor) for one in client.transducers.values()):
                 raise UsageError(f"{client.url} has no sensors: {client.transducers.why}")
@@ -297,7 +298,7 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError(f"cannot write {args.output}: {error.strerror}") from None
         session = _Session(recorder)
         boards = [
-            _Board(session, client, name, partial(connect_to, args, url))
+            _Board(session, client, name, partial(connect, args, url))
             for client, name, url in zip(clients, _names(clients), args.urls, strict=True)
         ]
         for board in boards:
@@ -306,7 +307,8 @@ def run(args: argparse.Namespace) -> int:
         try:
             for board in boards:
                 board.begin(is_alone=len(boards) == 1)
-            code = _record(session, boards, args.seconds, args.wait)
+            with Progress("record", in_seconds=True) as progress:
+                code = _wait(session, boards, args, progress)
         except (KeyboardInterrupt, SystemExit):
             _finish(session, boards)
             raise
@@ -321,11 +323,7 @@ def _names(boards: list[j2a.Client]) -> list[str]:
     for board, first in zip(boards, own, strict=True):
         serial = board.properties.get("serial")
         name = f"{first}_{serial}" if serial and own.count(first) > 1 else first
-        made, number = name, 1
-        while made in names:
-            number += 1
-            made = f"{name}_{number}"
-        names.append(made)
+        names.append(free_name(name, names, "_"))
     return names
 
 
@@ -341,19 +339,11 @@ def _settings(board: j2a.Client) -> SavedSettings:
     return found
 
 
-def _record(session: _Session, boards: list[_Board], seconds: float | None, wait_s: float) -> int:
-    """Wait for the end; returns the exit code."""
-    with Progress("record", in_seconds=True) as progress:
-        return _wait(session, boards, seconds, wait_s, progress)
-
-
 def _wait(
-    session: _Session,
-    boards: list[_Board],
-    seconds: float | None,
-    wait_s: float,
-    progress: Progress,
+    session: _Session, boards: list[_Board], args: argparse.Namespace, progress: Progress
 ) -> int:
+    """Wait for the end; returns the exit code."""
+    seconds: float | None = args.seconds
     start = here = time.monotonic()
     while True:
         left = _EACH_S if seconds is None else min(_EACH_S, start + seconds - time.monotonic())
@@ -369,7 +359,7 @@ def _wait(
             return FAILED
         if not all(board.is_gone for board in boards):
             here = time.monotonic()
-        elif time.monotonic() - here >= wait_s:
+        elif time.monotonic() - here >= args.wait:
             return LINK
         recorder = session.recorder
         lost = _lost(session, boards)

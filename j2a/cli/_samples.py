@@ -136,10 +136,8 @@ class _Rate:
         self.missed += max(sample.missed, gone)
         self.gone = sample.gone
         if sample.is_reset:  # times before it are of another count
-            self.host_s.clear()
-            self.device_s.clear()
-            self.true_s.clear()
-            self.doubts.clear()
+            for kept in (self.host_s, self.device_s, self.true_s, self.doubts):
+                kept.clear()
         if sample.host_us is not None:
             delay_us = came_us - sample.host_us
             is_doubted |= delay_us < -error_us - _SLACK_US  # it came before it was taken

@@ -32,8 +32,10 @@ from j2a.cli._link import (
 from j2a.cli._output import note, show
 from j2a.cli._trace import TracePrinter
 from j2a.cli._transds import read_transds_argument
+from j2a.demo import DemoDevice
 from j2a.device import IDLE_S, MAX_HOSTS
 from j2a.io.opening import WAIT_S
+from j2a.virtual import VirtualBoard
 
 NOTES = """\
 examples:
@@ -100,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError("-D, -U and --serial are for --transds")
         if args.clock is not None and args.device is not None:
             raise UsageError("a device of yours has its clock by j2a.Device(clock=...)")
-        device = _demo(args.clock) if args.device is None else load_device(args.device)
+        device = DemoDevice(clock=args.clock) if args.device is None else load_device(args.device)
     if args.verbose:
         # A Device takes its trace when it is made, which was before the command line was read.
         device.trace = TracePrinter(raw=args.verbose > 1, is_device=True)
@@ -172,8 +174,6 @@ def virtual_board(
     clock: float | None = None,
 ) -> j2a.Device:
     """Return a device with the transducers of a transds.def, which measures."""
-    from j2a.virtual import VirtualBoard  # noqa: PLC0415 - only needed for this option
-
     descriptors, _ = read_transds_argument(path, options)
     if not descriptors.transducers:
         note(f"j2a: {path} lists no transducers")
@@ -181,9 +181,3 @@ def virtual_board(
     board = VirtualBoard(descriptors, properties, clock=clock)
     board.measure()
     return board
-
-
-def _demo(clock: float | None = None) -> j2a.Device:
-    from j2a.demo import DemoDevice  # noqa: PLC0415 - only needed without --device
-
-    return DemoDevice(clock=clock)

@@ -24,7 +24,7 @@ from j2a_spec.plural import counted
 
 import j2a
 from j2a.cli._exit import FAILED, OK, TIMEOUT, CommandFailed, UsageError, end_on_signals
-from j2a.cli._link import connect_to
+from j2a.cli._link import connect
 from j2a.cli._output import note, show, show_json
 from j2a.protocol.clock import ClockState, Status
 from j2a.syncd.singleton import NotRunning, ask, folders
@@ -93,7 +93,7 @@ def verify(args: argparse.Namespace) -> int:
         raise UsageError("verify takes two URLs: the board that drives the wire, and the referee")
     end_on_signals()
     with contextlib.ExitStack() as stack:
-        driver, referee = boards = [stack.enter_context(connect_to(args, one)) for one in args.urls]
+        driver, referee = boards = [stack.enter_context(connect(args, one)) for one in args.urls]
         actuator = _chosen(driver, args.actuator, "actuator")
         sensor = _chosen(referee, args.sensor, "sensor")
         for board in boards:

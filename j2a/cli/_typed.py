@@ -31,6 +31,25 @@ values, one for each parameter of a function that the device describes:
 _BOOLS: Final = {"true": True, "1": True, "false": False, "0": False}
 
 
+def described(client: j2a.Client, name: str | int, words: Sequence[str]) -> j2a.Function | None:
+    """Return the function that takes words as values; None where they are a payload.
+
+    Args:
+        client: of the device.
+        name: of the function, or its opcode.
+        words: behind it on the command line.
+
+    Raises:
+        UnknownFunction: the device names its functions, and not this one; tells which are near.
+    """
+    if isinstance(name, int):
+        return None
+    if client.functions and name not in client.functions:
+        client.call(name)
+    function = client.functions.get(name)
+    return function if function is not None and takes_values(function, words) else None
+
+
 def takes_values(function: j2a.Function, words: Sequence[str]) -> bool:
     """Tell whether words are values for a function, and not payload words.
 

@@ -19,6 +19,7 @@ from j2a_spec.plural import counted
 
 from j2a.cli._exit import UsageError
 from j2a.types.coding import NUMBER_CODES
+from j2a.types.model import integer_range
 from j2a.types.transducers import shortest_f32
 
 PAYLOAD_HELP: Final = """\
@@ -31,7 +32,7 @@ payload words, put one after the other:
   @FILE                  the content of a file
   -                      standard input, to its end"""
 
-_DECODED: Final = frozenset([*NUMBER_CODES, *(f"{kind}*" for kind in NUMBER_CODES), "str", "hex"])
+_KINDS: Final = (*NUMBER_CODES, "str", "hex")
 _TYPED: Final = re.compile(r"([A-Za-z][A-Za-z0-9]*):(.*)", re.DOTALL)
 _MOST: Final = 2**32
 """Bytes of a file; an offset of a2jMany has 32 bits."""
@@ -52,7 +53,7 @@ def payload_of(words: Sequence[str]) -> bytes:
 def is_payload_word(word: str) -> bool:
     """Tell whether a word is written with its type, as in u16:5, or names where bytes come from."""
     typed = _TYPED.fullmatch(word)
-    is_typed = typed is not None and typed[1].lower() in (*NUMBER_CODES, "str", "hex")
+    is_typed = typed is not None and typed[1].lower() in _KINDS
     return is_typed or word == "-" or word.startswith("@")
 
 
@@ -73,8 +74,7 @@ def _bytes_of(word: str) -> bytes:
         return _hex(value, word)
     if kind in NUMBER_CODES:
         return b"".join(_number(kind, text, word) for text in value.split(","))
-    known = ", ".join([*NUMBER_CODES, "str", "hex"])
-    raise UsageError(f"{word!r}: unknown type {typed[1]!r}; known types: {known}")
+    raise UsageError(f"{word!r}: unknown type {typed[1]!r}; known types: {', '.join(_KINDS)}")
 
 
 def file_content(name: str) -> bytes:
@@ -155,9 +155,8 @@ class _F32(float):
 def _range(kind: str) -> str:
     if kind.startswith("f"):
         return kind
-    bits = int(kind[1:])
-    low, high = (0, 2**bits - 1) if kind[0] == "u" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
-    return f"{kind}, which goes from {low} to {high}"
+    allowed = integer_range(kind)
+    return f"{kind}, which goes from {allowed[0]} to {allowed[-1]}"
 
 
 class Decoder:
@@ -175,8 +174,8 @@ class Decoder:
         self._spec = spec
         self._kinds = [kind.strip().lower() for kind in spec.split(",")]
         for kind in self._kinds:
-            if kind not in _DECODED:
-                known = ", ".join([*NUMBER_CODES, "str", "hex"])
+            if kind not in _KINDS and kind.removesuffix("*") not in NUMBER_CODES:
+                known = ", ".join(_KINDS)
                 raise UsageError(f"--as {spec}: unknown type {kind!r}; known types: {known}")
         for kind in self._kinds[:-1]:
             if kind not in NUMBER_CODES:

@@ -55,7 +55,7 @@ from j2a.cli._samples import (
     sample_facts,
     sample_text,
 )
-from j2a.cli._typed import json_of, plain, takes_values, values_of
+from j2a.cli._typed import described, json_of, plain, values_of
 from j2a.cli._values import Decoder, payload_of, short_hex, text_of
 from j2a.io.transducers import Transducers
 from j2a.types.coding import Codec, PythonTypes
@@ -265,9 +265,9 @@ def _watch(
     args: argparse.Namespace,
 ) -> None:
     arrived: queue.SimpleQueue[_Arrived] = queue.SimpleQueue()
-    described = client.interface.sifs if client.interface else ()
+    sifs = client.interface.sifs if client.interface else ()
     types = PythonTypes()
-    shapes = {shape.opcode: (shape, Codec(shape.fields, types)) for shape in described}
+    shapes = {shape.opcode: (shape, Codec(shape.fields, types)) for shape in sifs}
     sensors = {
         name: one.descriptor.id
         for name, one in client.transducers.items()
@@ -360,12 +360,9 @@ def _call_each(client: j2a.Client, calls: Sequence[_Call]) -> None:
         CommandFailed: one failed, so that those after it were not called.
     """
     for function, words in calls:
-        if client.functions and isinstance(function, str) and function not in client.functions:
-            client.call(function)  # raises, and tells which names are near
-        described = client.functions.get(function) if isinstance(function, str) else None
-        if described is not None and takes_values(described, words):
+        if (found := described(client, function, words)) is not None:
             try:
-                described(*values_of(described, words))
+                found(*values_of(found, words))
             except j2a.FunctionFailed as error:
                 raise CommandFailed(str(error), FAILED) from None
             continue

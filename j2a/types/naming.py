@@ -38,12 +38,12 @@ def is_reserved(name: str) -> bool:
     return name in _C_WORDS or keyword.iskeyword(name)
 
 
-def free_name(name: str, taken: Container[str]) -> str:
-    """Return a name that is not taken, with a number behind it if need be."""
+def free_name(name: str, taken: Container[str], between: str = "") -> str:
+    """Return a name that is not taken, with a number behind it, and `between`, if need be."""
     made, number = name, 1
     while made in taken:
         number += 1
-        made = f"{name}{number}"
+        made = f"{name}{between}{number}"
     return made
 
 

@@ -126,7 +126,7 @@ def wire(build_firmware, monkeypatch):
     wire = Wire(elf)
     monkeypatch.setattr(
         j2a.cli._sync_verify,
-        "connect_to",
+        "connect",
         lambda _args, name: j2a.Client(WiredLink(wire, name), timeout=5),
     )
     yield wire
