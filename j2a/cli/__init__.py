@@ -5,8 +5,6 @@ Rules: each command is a module of its own that is imported when it is used; res
 output, everything else to standard error; nothing here knows more of J2A than the library tells.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import re
@@ -58,7 +56,7 @@ class _Parser(argparse.ArgumentParser):
         url_help = self.get_default("url_help")
         return super().format_help() + (f"\n{fitted(url_help())}\n" if url_help else "")
 
-    def print_help(self, file: SupportsWrite[str] | None = None) -> None:
+    def print_help(self, file: "SupportsWrite[str] | None" = None) -> None:
         """Print the help; argparse itself would not tell when that fails."""
         print(self.format_help(), end="", file=file)
 

@@ -4,8 +4,6 @@ In: a vendor and a product id. Out: a name.
 Rules: a bridge chip tells the chip, not the board; the names say so.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 _ANY: Final = None

@@ -4,8 +4,6 @@ In: a function, values or the words of a payload. Out: the results, or the code 
 returned and its payload.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 

@@ -5,8 +5,6 @@ of the error; with `--watch` again and again, with `--discipline` while it keeps
 Rules: a board that is lost does not end the others; clocks are set only with `--discipline`.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import dataclasses

@@ -7,8 +7,6 @@ with `SUMMARY`, `add_arguments(parser)` and `run(args)`, which returns the exit 
 printed below its help). The commands of this package cannot be taken over.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
 from importlib import import_module
@@ -20,8 +18,6 @@ from j2a.errors import LocalError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
-
-__all__ = ["BUILT_IN", "ENTRY_POINT_GROUP", "Command", "load", "names", "summaries"]
 
 ENTRY_POINT_GROUP: Final = "j2a.commands"
 BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
@@ -100,7 +96,7 @@ def load(name: str) -> tuple[Command, str] | None:
         ) from error
 
 
-def _others() -> dict[str, EntryPoint]:
+def _others() -> "dict[str, EntryPoint]":
     from importlib.metadata import entry_points  # noqa: PLC0415 - slow to load
 
     found = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}

@@ -6,8 +6,6 @@ the boards that are plugged in, and from the device at the URL that was typed; n
 wrong is shown, because a prompt is no place for it.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

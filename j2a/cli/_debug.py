@@ -4,8 +4,6 @@ In: a link. Out: the text as the firmware wrote it, control characters escaped; 
 text was lost.
 """
 
-from __future__ import annotations
-
 import argparse
 
 from j2a.cli._exit import OK

@@ -3,16 +3,12 @@
 In: descriptors. Out: lines, and what JSON has of a transducer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Final
 
 from j2a_spec.printable import printable
 
 from j2a.types.transducers import Descriptors, Transducer
-
-__all__ = ["aligned", "overview", "transducer_facts"]
 
 _COLUMNS: Final = ("name", "kind", "type", "unit", "channels", "model", "period", "topic")
 """The most important ones come first."""

@@ -6,8 +6,6 @@ Rules: an echo that fails is counted and the test goes on, as long as the link i
 everything fails; the bytes are those that hurt most: markers, escapes and their neighbours.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import random

@@ -5,8 +5,6 @@ Rules: the table `EXIT_CODES` is what `--help` and the documentation print; an e
 the link or the device never shows a traceback.
 """
 
-from __future__ import annotations
-
 import contextlib
 import signal
 from collections.abc import Iterator

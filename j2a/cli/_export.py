@@ -6,14 +6,12 @@ piece by piece, so that a long recording needs no more memory than a short one; 
 already is not overwritten.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from j2a_spec.plural import counted
 
@@ -122,7 +120,7 @@ class _Table:
         self._waiting: list[Recorded] = []
         self._write, self._close = _WRITERS[form](path)
 
-    def __enter__(self) -> _Table:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc_info: object) -> None:

@@ -4,14 +4,10 @@ In: a client. Out: an error when nothing comes from the board any more.
 Rule: a board whose sensors are quiet answers, so it is asked; only silence after that counts.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import j2a
 from j2a.protocol.roster import Heartbeat
-
-__all__ = ["Pulse"]
 
 SILENT_S: Final = 3.0
 

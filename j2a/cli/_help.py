@@ -5,8 +5,6 @@ Rules: a paragraph is filled anew, and what explains a word or a command goes on
 began; a command to copy is never broken.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import shutil

@@ -4,8 +4,6 @@ In: a link. Out: name, version, functions with opcodes and signatures, SIFs, tra
 properties and the health of the link; without the properties when they cannot be read.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 from collections.abc import Iterator, Mapping

@@ -3,8 +3,6 @@
 In: parsed arguments. Out: a connected client.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import inspect

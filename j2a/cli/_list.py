@@ -5,8 +5,6 @@ Rules: no port is opened, because opening resets many boards; what needs a packa
 installed is left out and named.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any, Final

@@ -6,8 +6,6 @@ and error messages may come from the device; a note that cannot be written chang
 has no NaN, so numbers that are not finite are the texts "NaN", "Infinity" and "-Infinity".
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

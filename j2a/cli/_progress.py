@@ -6,8 +6,6 @@ Rules: nothing is drawn when standard error is no terminal, when the user does n
 the first moments; numbers of bytes are those of payload.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from typing import Final, Self

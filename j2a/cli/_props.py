@@ -3,8 +3,6 @@
 In: a link. Out: keys and values; for one key its value alone.
 """
 
-from __future__ import annotations
-
 import argparse
 
 from j2a_spec.nearest import nearest_or_all

@@ -4,8 +4,6 @@ In: a function. Out: its data, in a file or on standard output.
 Rules: a file is written when all data is there, so that a transfer that fails leaves the old one.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from pathlib import Path

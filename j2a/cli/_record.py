@@ -6,8 +6,6 @@ most; Ctrl-C ends the file properly; a board that is lost does not end the other
 again when it comes back.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import threading

@@ -4,8 +4,6 @@ In: a file that `j2a record` wrote, and where hosts arrive. Out: a device with t
 the board, whose samples come again; it ends with the recording.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import threading

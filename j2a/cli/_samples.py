@@ -8,8 +8,6 @@ not the same one. All delays of a table are of one kind. There are none where th
 does not run as that of the host does, as in a recording that is replayed faster.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections import deque
@@ -19,18 +17,6 @@ from typing import Any, Final
 import j2a
 from j2a.cli._typed import json_of, plain
 from j2a.types.transducers import LOST_BYTES, TIME_BYTES, shortest_f32
-
-__all__ = [
-    "LAST",
-    "Facts",
-    "Rates",
-    "last_text",
-    "rate_head",
-    "rate_text",
-    "rounded",
-    "sample_facts",
-    "sample_text",
-]
 
 LAST: Final = 50
 """So many samples are behind the figures in the line of one."""

@@ -3,8 +3,6 @@
 In: where hosts arrive. Out: `listening on URL`, and a device there until Ctrl-C.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib

@@ -5,8 +5,6 @@ Rules: the rules know a board by its interface, so they hold for every vendor an
 file that somebody has changed is kept beside the new one.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import shutil

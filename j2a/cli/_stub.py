@@ -4,8 +4,6 @@ In: a board, or the functions.def of its firmware. Out: a typed module of Python
 JSON, or as a header with opcodes, enumerations and structures for a host program in C.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import zlib

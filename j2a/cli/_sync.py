@@ -5,8 +5,6 @@ Rules: asks the daemon of this user first, then that of the system; `verify` nee
 in `_sync_verify`.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Final

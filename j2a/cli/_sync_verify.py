@@ -8,8 +8,6 @@ in the difference; only edges to the level 1 count, so a referee may stamp both 
 wait has a deadline.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math
@@ -28,8 +26,6 @@ from j2a.cli._link import connect
 from j2a.cli._output import note, show, show_json
 from j2a.protocol.clock import ClockState, Status
 from j2a.syncd.singleton import NotRunning, ask, folders
-
-__all__ = ["Edge", "Figures", "verify"]
 
 _LEADS_US: Final = (300_000, 600_000, 1_200_000, 2_400_000)
 """An order is given so long before its time, and again where that was too short."""

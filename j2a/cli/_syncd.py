@@ -5,8 +5,6 @@ Rules: only one daemon runs; each later one tells the first to look for boards, 
 and Ctrl-C end it in order.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib

@@ -7,8 +7,6 @@ device nothing. A device may have several hosts that use the same seq at once; i
 thread of its own, which is how their requests are told apart.
 """
 
-from __future__ import annotations
-
 import struct
 import sys
 import threading

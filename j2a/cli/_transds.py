@@ -4,8 +4,6 @@ In: a transds.def or a board. Out: a table; or JSON, and files for ROS, C, Pytho
 to read. Rule: nothing is written unless all of it can be.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import shutil

@@ -3,8 +3,6 @@
 In: words such as `42`, `slow`, `1,2,3`, `{"x": 1}`. Out: values; and texts and JSON of results.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from enum import IntEnum

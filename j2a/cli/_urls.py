@@ -4,8 +4,6 @@ In: what the drivers of transports declare. Out: lines.
 Rules: it loads all drivers, so it is asked when help is printed, and not before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Final, Literal
 

@@ -5,8 +5,6 @@ Rules: numbers are little endian, as J2A's own fields are; a word that cannot be
 `UsageError` that says what can be written instead.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

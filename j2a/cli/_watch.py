@@ -9,8 +9,6 @@ for too long behind the end of `--duration`. What `--then` names is
 called however the watching ends, unless the link is gone.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math

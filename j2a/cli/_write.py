@@ -3,8 +3,6 @@
 In: a function, and the data as words, a file or standard input. Out: how much was written.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 

@@ -6,8 +6,6 @@ Rules: all other modules of `j2a.cli` may change without notice; the commands of
 of the bridge use nothing else of it.
 """
 
-from __future__ import annotations
-
 from j2a.cli._descriptors import transducer_facts
 from j2a.cli._exit import FAILED, INTERRUPTED, LINK, OK, USAGE, CommandFailed, UsageError
 from j2a.cli._link import (

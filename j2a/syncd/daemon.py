@@ -6,8 +6,6 @@ one bus share one line from frame numbers to times, so that the error of the hos
 all of them (thesis section 6.1).
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import threading

@@ -7,8 +7,6 @@ Rules: a board leads a line to the packets of some seconds (SYNC-007) and its ti
 by less than CLOCK_FRAME_STEP_S. It could say so, but a packet has no answer.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from j2a_spec.constants import CLOCK_FRAME_NUMBERS, CLOCK_FRAME_STEP_S

@@ -5,8 +5,6 @@ Rules: bounded; a board that is gone keeps its records until others need the roo
 of one board at a time, because JSON is made without a pause in which other threads could run.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from array import array

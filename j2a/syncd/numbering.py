@@ -6,8 +6,6 @@ Rules: a frame number has 11 bits, but some sources tell the lower 10 only (spec
 have twice begun again where those of 2048 would have gone on, and none was above 1023.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from j2a.protocol.clock.bus import FRAME_US, FRAMES

@@ -3,8 +3,6 @@
 In: numbers. Out: a text that browsers and viewers show, readable on light and dark ground.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ that does not sleep deeply. Rules: each measure that the system refuses is told 
 of them are undone at the end.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

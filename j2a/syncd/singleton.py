@@ -6,8 +6,6 @@ a daemon that died leaves nothing in the way. A connection carries one request; 
 and the number of connections at a time are bounded, and none waits for another.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import json
@@ -167,7 +165,9 @@ class Server:
             for number in list(open_ones):
                 _end(selector, open_ones, number)
 
-    def _accept(self, selector: selectors.BaseSelector, open_ones: dict[int, _Connection]) -> None:
+    def _accept(
+        self, selector: selectors.BaseSelector, open_ones: "dict[int, _Connection]"
+    ) -> None:
         if len(open_ones) >= MAX_CONNECTIONS:
             _end(selector, open_ones, next(iter(open_ones)))
         try:

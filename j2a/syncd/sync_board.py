@@ -5,8 +5,6 @@ Rules: each transfer has a limit; an error ends the thread, and the daemon begin
 the board again.
 """
 
-from __future__ import annotations
-
 import logging
 import random
 import threading

@@ -4,8 +4,6 @@ In: the program `j2a`. Out: texts of files. Rules: where systemd runs, udev asks
 elsewhere udev starts the wrapper, which may be edited, as in the thesis (listings 6.1 and 6.2).
 """
 
-from __future__ import annotations
-
 import stat
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ well, so that one that is silent delays no other. Nothing is opened before `look
 process and with the rights that the daemon then has.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -7,8 +7,6 @@ contradict those of most others counts for nothing. One that tells the lower 10 
 counts as the others do, once that is known.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from dataclasses import replace
