@@ -26,9 +26,8 @@ from j2a.cli._exit import (
     exit_codes_help,
     is_of_a_file,
 )
-from j2a.cli._help import Formatter, fitted
+from j2a.cli._help import Formatter, fitted, url_list
 from j2a.cli._output import drop_output, finish_output, note, prepare_output, show, show_json
-from j2a.cli._urls import url_list
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite

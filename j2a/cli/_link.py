@@ -16,8 +16,8 @@ import j2a_transports
 
 import j2a
 from j2a.cli._exit import UsageError
+from j2a.cli._help import listen_help, open_help
 from j2a.cli._trace import TracePrinter
-from j2a.cli._urls import listen_help, open_help
 
 if sys.platform != "win32":
     import termios

@@ -28,10 +28,10 @@ from j2a.cli._link import (
 from j2a.cli._output import note, show, show_json
 from j2a.io.transds_file import load_transds
 from j2a.types.datasheet import data_sheets
+from j2a.types.header import transducers_header
 from j2a.types.ros import ros1_package, ros2_package
+from j2a.types.stub import transducers_module
 from j2a.types.transds_file import strange_keys, transds_text
-from j2a.types.transds_header import transducers_header
-from j2a.types.transds_module import transducers_module
 from j2a.types.transducers import Descriptors, Transducer
 
 NOTES: Final = """\

@@ -1,13 +1,16 @@
-"""Python modules for boards: what `j2a stub` writes.
+"""Python modules for boards: what `j2a stub` and `j2a transds --python` write.
 
-What flows in: an interface and its hash. What flows out: the text of a module with a class whose
-methods are the functions of the board, typed. Rules: the text depends on nothing else, so that it
-changes only when the board does; names that Python reserves get an underscore behind them.
+What flows in: an interface and its hash, or descriptors. What flows out: the text of a module with
+a class whose methods are the functions of the board, typed, or that has an attribute for each
+transducer. Rules: the text depends on nothing else, so that it changes only when the board does;
+names that Python reserves get an underscore behind them.
 """
 
 import keyword
 from collections.abc import Container, Iterable, Iterator, Sequence
 from typing import Final
+
+from j2a_spec.plural import counted
 
 from j2a.types.coding import python_names
 from j2a.types.model import (
@@ -21,8 +24,9 @@ from j2a.types.model import (
     Structure,
     Type,
 )
+from j2a.types.transducers import Descriptors, Transducer
 
-__all__ = ["class_name", "python_module", "quoted"]
+__all__ = ["class_name", "python_module", "transducers_module"]
 
 _PLAIN: Final = {
     **dict.fromkeys(INTEGERS, "int"),
@@ -41,6 +45,9 @@ _OF_ENUM: Final = (
     *("as_integer_ratio", "bit_count", "bit_length", "from_bytes", "to_bytes"),
 )
 """What enumerations and integers have themselves."""
+_TRANSDUCER_CLASSES: Final = ("AsyncTransducers", "IntEnum", "Transducers")
+_OF_INIT: Final = ("self", "client", "isinstance", "j2a")
+"""Names in modules of transducers, which classes and variables there do not take."""
 _Classes = dict[tuple[str, str], str]
 """The names of classes: by "type", "results" or "sif", and the name of that."""
 
@@ -61,7 +68,7 @@ def _lines(interface: Interface, interface_hash: str, source: str) -> Iterator[s
         line for line in interface.functions if line.signature and line.name.isidentifier()
     ]
     classes = _class_names(interface, functions)
-    yield f'"""The functions of {quoted(source)}, written by j2a stub; do not edit."""'
+    yield f'"""The functions of {_quoted(source)}, written by j2a stub; do not edit."""'
     yield ""
     yield "from collections.abc import Sequence"
     yield "from dataclasses import dataclass"
@@ -72,10 +79,10 @@ def _lines(interface: Interface, interface_hash: str, source: str) -> Iterator[s
     yield f'HASH = "{interface_hash}"'
     yield '"""The property j2a.interface of the boards that this module is for."""'
     for definition in interface.types:
+        name = classes["type", definition.name]
         if isinstance(definition, Enumeration):
-            yield from _enumeration(definition, classes)
+            yield from _enumeration(name, definition, f"An enumeration of {definition.integer}.")
         else:
-            name = classes["type", definition.name]
             yield from _record(name, definition.fields, f"A {definition.name}.", classes)
     for line in functions:
         assert line.signature is not None
@@ -128,22 +135,20 @@ def class_name(name: str) -> str:
     return made if made[0].isalpha() else f"N{made}"
 
 
-def quoted(text: str) -> str:
+def _quoted(text: str) -> str:
     """Return a text as it can stand in a docstring."""
     return text.replace("\\", "/").replace('"', "'")
 
 
 def _doc(text: str, indent: str) -> str:
-    return f'{indent}"""{quoted(text)}"""'
+    return f'{indent}"""{_quoted(text)}"""'
 
 
-def _enumeration(definition: Enumeration, classes: _Classes) -> Iterator[str]:
-    yield from ("", "", f"class {classes['type', definition.name]}(IntEnum):")
-    yield _doc(f"An enumeration of {definition.integer}.", "    ")
-    yield ""
+def _enumeration(name: str, definition: Enumeration, doc: str) -> Iterator[str]:
+    yield from ("", "", f"class {name}(IntEnum):", _doc(doc, "    "), "")
     names = _names(_OF_ENUM, (name for name, _ in definition.values))
-    for name, (_, number) in zip(names, definition.values, strict=True):
-        yield f"    {name} = {number}"
+    for value, (_, number) in zip(names, definition.values, strict=True):
+        yield f"    {value} = {number}"
 
 
 def _record(name: str, fields: Sequence[Field], doc: str, classes: _Classes) -> Iterator[str]:
@@ -177,25 +182,12 @@ def _sif_doc(sif: SifShape) -> str:
 
 
 def _board(functions: Sequence[Described], classes: _Classes, *, is_async: bool) -> Iterator[str]:
-    name, client, connect = "Board", "Client", "connect"
-    if is_async:
-        name, client, connect = "AsyncBoard", "AsyncClient", "aconnect"
+    name, connect = ("AsyncBoard", "aconnect") if is_async else ("Board", "connect")
     define, wait = ("async def", "await ") if is_async else ("def", "")
-    yield from ("", "", f"class {name}:")
-    yield from (
-        '    """The functions of a board.',
-        "",
-        "    Args:",
-        f"        client: as `j2a.{connect}` returns it.",
-        "",
-        "    Raises:",
-        "        InterfaceChanged: the board has another interface than this module.",
-        '    """',
-        "",
-        f"    def __init__(self, client: j2a.{client}) -> None:",
-        "        client.use_types(HASH, _CLASSES)",
-        "        self.client = client",
-    )
+    error = "InterfaceChanged: the board has another interface than this module."
+    yield from _class_head("Board", "The functions of a board.", error, is_async=is_async)
+    yield "        client.use_types(HASH, _CLASSES)"
+    yield "        self.client = client"
     taken = {"client", "Sequence", *_TYPES, *classes.values()}
     for line in functions:
         [method] = python_names([line.name])
@@ -216,6 +208,25 @@ def _board(functions: Sequence[Described], classes: _Classes, *, is_async: bool)
         "    except j2a.InterfaceChanged:",
         f"        {wait}client.close()",
         "        raise",
+    )
+
+
+def _class_head(name: str, doc: str, error: str, *, is_async: bool) -> Iterator[str]:
+    prefix = "Async" if is_async else ""
+    yield from (
+        "",
+        "",
+        f"class {prefix}{name}:",
+        f'    """{doc}',
+        "",
+        "    Args:",
+        f"        client: as `j2a.{'a' * is_async}connect` returns it.",
+        "",
+        "    Raises:",
+        f"        {error}",
+        '    """',
+        "",
+        f"    def __init__(self, client: j2a.{prefix}Client) -> None:",
     )
 
 
@@ -249,9 +260,9 @@ def _method_doc(
 ) -> Iterator[str]:
     more = [f"{name}: in {field.type.unit}." for name, field in pairs if field.type.unit]
     unit = signature.results[0].type.unit if len(signature.results) == 1 else ""
-    yield f'        """{quoted(line.doc or f"Call {line.name}.")}'
+    yield f'        """{_quoted(line.doc or f"Call {line.name}.")}'
     yield ""
-    yield f"        {line.name}{quoted(str(signature))}"
+    yield f"        {line.name}{_quoted(str(signature))}"
     if more:
         yield from ("", "        Args:", *(f"            {text}" for text in more))
     if unit:
@@ -259,3 +270,47 @@ def _method_doc(
     if line.idempotent:
         yield from ("", "        Executing it twice does the same as once.")
     yield '        """'
+
+
+def transducers_module(descriptors: Descriptors, source: str) -> str:
+    """Return the text of a module for boards with these transducers.
+
+    Args:
+        descriptors: of a board, or of a transds.def.
+        source: where they come from, for the first line.
+    """
+    return "\n".join(_transducer_lines(descriptors, source)) + "\n"
+
+
+def _transducer_lines(descriptors: Descriptors, source: str) -> Iterator[str]:
+    yield f'"""The transducers of {_quoted(source)}, written by j2a transds; do not edit."""'
+    yield ""
+    enumerations = [one for one in descriptors.types if isinstance(one, Enumeration)]
+    if enumerations:
+        yield from ("from enum import IntEnum", "")
+    yield "import j2a"
+    names = _names(_TRANSDUCER_CLASSES, (class_name(one.name) for one in enumerations))
+    for name, definition in zip(names, enumerations, strict=True):
+        yield from _enumeration(name, definition, f"Raw values of {definition.name}.")
+    for is_async in (False, True):
+        yield from _transducer_class(descriptors, is_async=is_async)
+
+
+def _transducer_class(descriptors: Descriptors, *, is_async: bool) -> Iterator[str]:
+    prefix = "Async" if is_async else ""
+    error = "UnknownTransducer: the board has not all of them."
+    yield from _class_head("Transducers", "The transducers of a board.", error, is_async=is_async)
+    yield "        self.client = client"
+    names = _names(_OF_INIT, (one.name for one in descriptors.transducers))
+    for name, one in zip(names, descriptors.transducers, strict=True):
+        kind = f"{prefix}{'Sensor' if one.is_sensor else 'Actuator'}"
+        yield f'        {name} = client.transducers["{one.name}"]'
+        yield f"        assert isinstance({name}, j2a.{kind})"
+        yield f"        self.{name} = {name}"
+        yield f'        """{_quoted(_about(one))}"""'
+
+
+def _about(one: Transducer) -> str:
+    channels = counted(one.channels, "channel")
+    doc = one.doc or one.model or one.name
+    return f"{doc}{'' if doc.endswith('.') else '.'} {channels} of {one.type}."

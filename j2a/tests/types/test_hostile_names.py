@@ -18,7 +18,7 @@ from j2a.types.arrays import Batch
 from j2a.types.coding import PythonTypes, name_on_wire, tuple_class
 from j2a.types.datasheet import data_sheets
 from j2a.types.descriptors import parse_descriptors
-from j2a.types.header import c_header
+from j2a.types.header import c_header, transducers_header
 from j2a.types.model import (
     Described,
     Enumeration,
@@ -31,9 +31,8 @@ from j2a.types.model import (
 from j2a.types.parser import parse_interface
 from j2a.types.ros import ros1_package, ros2_definition, ros2_package
 from j2a.types.samples import SampleCodec
+from j2a.types.stub import transducers_module
 from j2a.types.transds_file import read_transds, transds_text
-from j2a.types.transds_header import transducers_header
-from j2a.types.transds_module import transducers_module
 from j2a.types.transducers import Descriptors, Transducer, problem
 
 from .strategies import closed_types, enumerations, field_lists
