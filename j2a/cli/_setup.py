@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"there is no folder {PLACE.parent}: this computer has no udev")
     for one in files:
         show(_install(one, args.what))
-    if not has_group():
+    if group_number() is None:
         note(
             f"j2a: there is no group {GROUP} here, so only who sits at this computer may use the "
             f"boards; for others: sudo groupadd --system {GROUP}, sudo usermod -aG {GROUP} USER, "
@@ -143,12 +143,11 @@ def _program() -> str:
     return program
 
 
-def has_group() -> bool:
-    """Tell whether this system has the group that the rule gives the boards to."""
+def group_number() -> int | None:
+    """Return the number of the group that the rule gives the boards to, None without it."""
     import grp  # noqa: PLC0415 - not on every system
 
     try:
-        grp.getgrnam(GROUP)
+        return grp.getgrnam(GROUP).gr_gid
     except KeyError:
-        return False
-    return True
+        return None

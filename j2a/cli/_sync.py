@@ -7,7 +7,6 @@ in `_sync_verify`.
 
 import argparse
 from pathlib import Path
-from typing import Final
 
 from j2a_spec.plural import counted
 
@@ -25,17 +24,6 @@ from j2a.syncd.history import Round, rounds_of
 from j2a.syncd.numbering import SHORT
 from j2a.syncd.plot import draw, panels_of
 from j2a.syncd.singleton import NotRunning, ask_any
-
-_COUNT: Final = 20
-_OF_VERIFY: Final = {
-    "actuator": None,
-    "sensor": None,
-    "count": _COUNT,
-    "delay": 0.0,
-    "bound": None,
-    "no_discipline": False,
-}
-"""Options that only verify takes, and what they are unless the user says otherwise."""
 
 NOTES = """\
 examples:
@@ -65,29 +53,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_json_argument(parser, "the status, the figures, or what was plotted,")
     group = parser.add_argument_group("verify")
-    group.add_argument("--actuator", metavar="NAME", help="of the first board (the only one)")
-    group.add_argument("--sensor", metavar="NAME", help="of the referee (the only one)")
-    group.add_argument(
-        "--count", type=whole_number(1), default=_COUNT, metavar="N", help="edges (%(default)s)"
-    )
-    group.add_argument(
-        "--delay",
-        type=finite_number,
-        default=0.0,
-        metavar="US",
-        help="known time from an order to its time stamp, in microseconds (0)",
-    )
-    group.add_argument(
-        "--bound",
-        type=positive_number,
-        metavar="US",
-        help="what is allowed, in place of the sum of what is announced of both boards",
-    )
-    group.add_argument(
-        "--no-discipline",
-        action="store_true",
-        help="leave both clocks to who sets them, such as syncd",
-    )
+    only_verify = [
+        group.add_argument("--actuator", metavar="NAME", help="of the first board (the only one)"),
+        group.add_argument("--sensor", metavar="NAME", help="of the referee (the only one)"),
+        group.add_argument(
+            "--count", type=whole_number(1), default=20, metavar="N", help="edges (%(default)s)"
+        ),
+        group.add_argument(
+            "--delay",
+            type=finite_number,
+            default=0.0,
+            metavar="US",
+            help="known time from an order to its time stamp, in microseconds (0)",
+        ),
+        group.add_argument(
+            "--bound",
+            type=positive_number,
+            metavar="US",
+            help="what is allowed, in place of the sum of what is announced of both boards",
+        ),
+        group.add_argument(
+            "--no-discipline",
+            action="store_true",
+            help="leave both clocks to who sets them, such as syncd",
+        ),
+    ]
+    parser.set_defaults(only_verify=only_verify)
     add_link_options(parser)
 
 
@@ -103,10 +94,10 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.what == "verify":
         return verify(args)
-    for name, default in _OF_VERIFY.items():
-        if getattr(args, name) != default:
-            option = name.replace("_", "-")
-            raise UsageError(f"{args.what} takes no --{option}, only verify does")
+    for option in args.only_verify:
+        if getattr(args, option.dest) != option.default:
+            name = option.option_strings[0]
+            raise UsageError(f"{args.what} takes no {name}, only verify does")
     if args.what == "plot":
         boards = _history()
         plot = draw("Clocks of J2A boards", panels_of(boards))

@@ -24,7 +24,7 @@ from j2a_spec.constants import CLOCK_HOLDOVER_S
 from j2a.cli._exit import INTERRUPTED, LINK, OK, CommandFailed, UsageError
 from j2a.cli._link import finite_seconds, whole_number
 from j2a.cli._output import note, show
-from j2a.cli._setup import GROUP
+from j2a.cli._setup import group_number
 from j2a.syncd.daemon import MAX_BOARDS, Daemon
 from j2a.syncd.realtime import realtime
 from j2a.syncd.singleton import LIMIT_S, NotRunning, Server, Taken, ask_any, folders
@@ -252,12 +252,8 @@ def _load_links() -> None:
 
 def _become(user: _User) -> None:
     """Give root's rights away, but for the group that may use USB boards."""
-    import grp  # noqa: PLC0415 - not on every system
-
-    groups = []
-    with contextlib.suppress(KeyError):
-        groups = [grp.getgrnam(GROUP).gr_gid]
-    os.setgroups(groups)
+    number = group_number()
+    os.setgroups([] if number is None else [number])
     os.setgid(user.group)
     os.setuid(user.number)
 

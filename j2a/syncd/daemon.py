@@ -12,35 +12,26 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from types import NoneType
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import j2a_transports
 
 import j2a
 from j2a.io.bell import Bell
 from j2a.io.host_time import HostTime, host_time
-from j2a.io.threads import JOIN_S, join_threads, start_thread
+from j2a.io.threads import JOIN_S, join_threads
 from j2a.syncd.history import History
 from j2a.syncd.sync_board import SyncBoard
 from j2a.syncd.url_boards import LinkBoards
 from j2a.syncd.usb_bus import Bus
 
-__all__ = ["Daemon", "start"]
+__all__ = ["Daemon"]
 
 _logger = logging.getLogger("j2a.syncd")
 _LOOK_S: Final = 1.0
 """How often it looks for boards that nobody has told of."""
 MAX_BOARDS: Final = 127
 """With SyncUSB; a bus has no more addresses."""
-
-
-class Port(Protocol):
-    """What `j2a_transports` gives for a board with SyncUSB."""
-
-    key: tuple[int, int, str]
-    name: str
-    frames: str
-    serial: str | None
 
 
 class Daemon:
@@ -194,8 +185,3 @@ class Daemon:
         board = SyncBoard(port, bus)
         board.start()
         return board
-
-
-def start(daemon: Daemon) -> threading.Thread:
-    """Run a daemon in a thread, for programs that do more."""
-    return start_thread(daemon.run, "j2a syncd")

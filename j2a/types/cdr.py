@@ -7,7 +7,6 @@ not what the descriptor says is a ValueError, however it is damaged.
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, Final
 
 from j2a_spec.constants import MAX_PAYLOAD
@@ -40,7 +39,7 @@ class SampleMessage:
         # Of an array the elements are elements of the message, which has no array in an array.
         self._elements = 1 if isinstance(sensor.type.element, Structure) else len(self._sizes)
         self._entry = self._has_queue + TIME_BYTES + sensor.type.size
-        self._layouts: dict[int, _Layout] = {}
+        self._layouts: dict[int, tuple[int, struct.Struct, struct.Struct]] = {}
 
     def pack(self, payload: bytes) -> bytes:
         """Return the message of a sample.
@@ -51,8 +50,9 @@ class SampleMessage:
         layout = self._layouts.get(len(payload))
         if layout is None:
             layout = self._layouts[len(payload)] = self._layout(len(payload))
-        lost, *parts = layout.payload.unpack(payload)
-        count, width = layout.count, len(parts) // layout.count
+        count, from_payload, to_message = layout
+        lost, *parts = from_payload.unpack(payload)
+        width = len(parts) // count
         time_at = int(self._has_queue)
         numbers: list[Any] = [_HEADER, count]
         for time_us in parts[time_at::width]:
@@ -65,25 +65,27 @@ class SampleMessage:
             numbers += parts[at : at + width - time_at - 1]
         if self._has_queue:
             numbers += count, b"".join(parts[::width]), lost
-        return layout.message.pack(*numbers)
+        return to_message.pack(*numbers)
 
-    def _layout(self, length: int) -> "_Layout":
+    def _layout(self, length: int) -> tuple[int, struct.Struct, struct.Struct]:
+        """Return how many values a payload of a length has, its layout, and that of its message."""
         start = LOST_BYTES if self._has_queue else 0
         count, rest = divmod(length - start, self._entry)
         if rest or count < 1 or length > MAX_PAYLOAD:
             raise ValueError(f"{counted(length, 'byte is', 'bytes are')} no sample")
         values = "".join(f"{size}s" for size in self._sizes)
         payload = f"<{start}s" + f"{'s' * self._has_queue}Q{values}" * count
-        message = _Format()
-        for _ in range(2 + 2 * count):  # how many times, their seconds and ns, how many values
-            message.add("I", _COUNT.size)
-        for size in self._sizes * count:
-            message.add(f"{size}s", size)
+        # How many times, their seconds and ns, how many values; each with its alignment.
+        parts = [("I", _COUNT.size)] * (2 + 2 * count)
+        parts += [(f"{size}s", size) for size in self._sizes * count]
         if self._has_queue:
-            message.add("I", _COUNT.size)
-            message.add(f"{count}s", 1, count)
-            message.add(f"{LOST_BYTES}s", LOST_BYTES)
-        return _Layout(count, struct.Struct(payload), struct.Struct(message.text))
+            parts += ("I", _COUNT.size), (f"{count}s", 1), (f"{LOST_BYTES}s", LOST_BYTES)
+        message, at = f"<{len(_HEADER)}s", 0
+        for code, align in parts:
+            skipped = -at % align
+            message += f"{skipped}x{code}"
+            at += skipped + struct.calcsize(f"<{code}")
+        return count, struct.Struct(payload), struct.Struct(message)
 
     def unpack(self, message: bytes) -> bytes:
         """Return the payload of the sample that a message is.
@@ -125,28 +127,6 @@ def _sizes(kind: Type) -> Iterator[int]:
                 yield from _sizes(field.type)
         else:
             yield element_size(kind.element)
-
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """How samples of one length and their messages are laid out; numbers are bytes."""
-
-    count: int
-    payload: struct.Struct
-    message: struct.Struct
-
-
-class _Format:
-    """The format of a message, in which each number is at a multiple of its size."""
-
-    def __init__(self) -> None:
-        self.text = f"<{len(_HEADER)}s"
-        self._size = 0
-
-    def add(self, code: str, align: int, size: int = 0) -> None:
-        skipped = -self._size % align
-        self.text += f"{skipped}x{code}"
-        self._size += skipped + (size or align)
 
 
 class _Reader:

@@ -15,6 +15,7 @@ import j2a
 from j2a.cli._sync import _show as show_status
 from j2a.clock import Clock, ClockReading
 from j2a.io.host_time import HostTime
+from j2a.io.threads import start_thread
 from j2a.protocol.clock import LOOK_S
 from j2a.syncd import daemon as daemon_module
 from j2a.syncd import sync_board, url_boards
@@ -40,7 +41,7 @@ def running(monkeypatch):
 
     def run(ports, **options):
         one = Daemon(interval_s=0.05, ports=lambda: list(ports), **options)
-        started.append((one, daemon_module.start(one)))
+        started.append((one, start_thread(one.run, "j2a syncd")))
         return one
 
     yield run
@@ -506,7 +507,7 @@ def test_nothing_is_opened_before_the_daemon_runs():
         assert one.status()["boards"][0]["state"] == "waiting"
         with pytest.raises(TimeoutError):
             server.accept()
-        thread = daemon_module.start(one)
+        thread = start_thread(one.run, "j2a syncd")
         server.settimeout(60)
         server.accept()[0].close()
         one.stop()
