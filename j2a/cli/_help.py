@@ -15,7 +15,7 @@ from itertools import groupby
 from typing import Final, Literal
 
 import j2a_transports
-from j2a_transports import COMMON_OPTIONS, OpenFailed, Option, Usage
+from j2a_transports import COMMON_OPTIONS, OpenFailed, Usage
 
 _URL_COLUMNS: Final = 36
 _NAME_COLUMNS: Final = 12
@@ -122,12 +122,11 @@ def _urls(declared: Mapping[str, Usage]) -> str:
 
 def _options(declared: Mapping[str, Usage]) -> str:
     named = [(name, usage.options) for name, usage in declared.items() if usage.options]
-    rows = [(name, _names(options)) for name, options in (*named, ("(all)", COMMON_OPTIONS))]
+    rows = [
+        (name, ", ".join(option.name for option in options))
+        for name, options in (*named, ("(all)", COMMON_OPTIONS))
+    ]
     return _table(rows, _NAME_COLUMNS)
-
-
-def _names(options: Iterable[Option]) -> str:
-    return ", ".join(option.name for option in options)
 
 
 def _table(rows: Iterable[tuple[str, str]], columns: int) -> str:

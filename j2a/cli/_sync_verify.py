@@ -41,7 +41,7 @@ _LOCKED_S: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class Edge:
+class _Edge:
     """One edge.
 
     Attributes:
@@ -51,36 +51,6 @@ class Edge:
 
     error_us: float
     bound_us: float
-
-
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """What a run has shown.
-
-    Attributes:
-        edges: all of them, in their order.
-    """
-
-    edges: tuple[Edge, ...]
-
-    @property
-    def outside(self) -> int:
-        """How many errors are beyond their bound."""
-        return sum(abs(one.error_us) > one.bound_us for one in self.edges)
-
-    def facts(self) -> dict[str, object]:
-        """Return what `--json` prints."""
-        errors = [one.error_us for one in self.edges]
-        return {
-            "edges": len(errors),
-            "median_us": round(statistics.median(errors), 3),
-            "rms_us": round(math.sqrt(statistics.fmean(one * one for one in errors)), 3),
-            "peak_us": max(map(abs, errors)),
-            "bound_us": round(statistics.median(one.bound_us for one in self.edges), 3),
-            "outside": self.outside,
-            "errors_us": errors,
-            "bounds_us": [one.bound_us for one in self.edges],
-        }
 
 
 def verify(args: argparse.Namespace) -> int:
@@ -104,7 +74,7 @@ def verify(args: argparse.Namespace) -> int:
             edges.append(edge)
             if not args.json:
                 show(f"{number + 1:>5} {edge.error_us:>+12.1f} us {edge.bound_us:>10.1f} us")
-    return _show(Figures(tuple(edges)), args)
+    return _show(edges, args)
 
 
 def _chosen(board: j2a.Client, name: str | None, kind: str) -> Any:
@@ -170,7 +140,7 @@ def _enabled(sensor: Any) -> Iterator[None]:
 
 def _edge(
     boards: list[j2a.Client], actuator: Any, sensor: Any, args: argparse.Namespace, number: int
-) -> Edge:
+) -> _Edge:
     """Let the driver make one edge, and return what the referee says of it."""
     driver, referee = boards
     what = f"edge {number + 1} of {args.count}"
@@ -196,7 +166,7 @@ def _edge(
     for board, one, other in zip(boards, before, after, strict=True):
         if one.epoch != other.epoch:
             raise CommandFailed(f"the clock of {board.url} was set between order and edge", FAILED)
-    return Edge(stamp_us - at_us - args.delay, _bound_us(boards, [*before, *after], args))
+    return _Edge(stamp_us - at_us - args.delay, _bound_us(boards, [*before, *after], args))
 
 
 def _wait_for_quiet(samples: Any, sensor: Any, referee: j2a.Client) -> None:
@@ -270,18 +240,30 @@ def _announced_us(board: j2a.Client, status: Status) -> float:
     )
 
 
-def _show(figures: Figures, args: argparse.Namespace) -> int:
-    facts = figures.facts()
+def _show(edges: list[_Edge], args: argparse.Namespace) -> int:
+    errors = [one.error_us for one in edges]
+    bounds = [one.bound_us for one in edges]
+    outside = sum(abs(error) > bound for error, bound in zip(errors, bounds, strict=True))
+    facts = {
+        "edges": len(errors),
+        "median_us": round(statistics.median(errors), 3),
+        "rms_us": round(math.sqrt(statistics.fmean(one * one for one in errors)), 3),
+        "peak_us": max(map(abs, errors)),
+        "bound_us": round(statistics.median(bounds), 3),
+        "outside": outside,
+        "errors_us": errors,
+        "bounds_us": bounds,
+    }
     if args.json:
         show_json(facts)
     else:
         show(
-            f"{counted(facts['edges'], 'edge')}: median {facts['median_us']} us, "
+            f"{counted(len(edges), 'edge')}: median {facts['median_us']} us, "
             f"rms {facts['rms_us']} us, peak {facts['peak_us']} us; "
             f"announced {facts['bound_us']} us"
         )
-    if figures.outside:
-        edges = counted(facts["edges"], "edge is", "edges are")
-        note(f"j2a: {figures.outside} of {edges} outside what is announced")
+    if outside:
+        told = counted(len(edges), "edge is", "edges are")
+        note(f"j2a: {outside} of {told} outside what is announced")
         return FAILED
     return OK

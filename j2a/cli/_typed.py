@@ -14,7 +14,7 @@ import j2a
 from j2a.cli._exit import UsageError
 from j2a.cli._values import finite_or_said, is_payload_word, payload_of
 from j2a.types.coding import name_on_wire
-from j2a.types.model import INTEGERS, Element, Enumeration, Field, Structure, Type
+from j2a.types.model import INTEGERS, OPEN, Element, Enumeration, Field, Structure, Type
 from j2a.types.transducers import shortest_f32
 
 VALUES_HELP: Final = """\
@@ -56,13 +56,9 @@ def takes_values(function: j2a.Function, words: Sequence[str]) -> bool:
     """
     if function.signature is None:
         return False
-    elements = [field.type.element for field in function.signature.parameters]
-    literal = [element in ("text", "bytes") for element in elements]
-    literal += [False] * (len(words) - len(literal))
-    return not any(
-        is_payload_word(word) and not is_literal
-        for word, is_literal in zip(words, literal, strict=False)
-    )
+    parameters = enumerate(function.signature.parameters)
+    literal = {at for at, field in parameters if field.type.element in OPEN}
+    return not any(at not in literal and is_payload_word(word) for at, word in enumerate(words))
 
 
 def values_of(function: j2a.Function, words: Sequence[str]) -> list[object]:

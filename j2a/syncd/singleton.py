@@ -150,26 +150,23 @@ class Server:
     def _serve(self) -> None:
         with selectors.DefaultSelector() as selector:
             selector.register(self._socket, selectors.EVENT_READ)
-            open_ones: dict[int, _Connection] = {}  # the oldest first
             while not self._is_closed.is_set():
                 for key, _ in selector.select(_LOOK_S):
                     if key.data is None:
-                        self._accept(selector, open_ones)
-                        continue
-                    is_open = open_ones.get(key.fd) is key.data
-                    if is_open and not key.data.go_on(selector, self._answer):
-                        _end(selector, open_ones, key.fd)
+                        self._accept(selector)
+                    elif not key.data.is_ended and not key.data.go_on(selector, self._answer):
+                        key.data.end(selector)
                 now = time.monotonic()
-                for number in [k for k, one in open_ones.items() if one.deadline <= now]:
-                    _end(selector, open_ones, number)
-            for number in list(open_ones):
-                _end(selector, open_ones, number)
+                for one in _connections(selector):
+                    if one.deadline <= now:
+                        one.end(selector)
+            for one in _connections(selector):
+                one.end(selector)
 
-    def _accept(
-        self, selector: selectors.BaseSelector, open_ones: "dict[int, _Connection]"
-    ) -> None:
-        if len(open_ones) >= MAX_CONNECTIONS:
-            _end(selector, open_ones, next(iter(open_ones)))
+    def _accept(self, selector: selectors.BaseSelector) -> None:
+        there = _connections(selector)
+        if len(there) >= MAX_CONNECTIONS:
+            min(there, key=lambda one: one.deadline).end(selector)
         try:
             accepted, _ = self._socket.accept()
         except BlockingIOError:  # it has gone
@@ -179,8 +176,7 @@ class Server:
             self._is_closed.wait(_RETRY_S)
             return
         accepted.setblocking(False)
-        open_ones[accepted.fileno()] = one = _Connection(accepted)
-        selector.register(accepted, selectors.EVENT_READ, one)
+        selector.register(accepted, selectors.EVENT_READ, _Connection(accepted))
 
 
 class _Connection:
@@ -188,11 +184,13 @@ class _Connection:
 
     Attributes:
         deadline: when it ends in any case, on the monotonic clock.
+        is_ended: another one has its descriptor, perhaps.
     """
 
     def __init__(self, accepted: socket.socket) -> None:
         self.socket = accepted
         self.deadline = time.monotonic() + _SERVE_S
+        self.is_ended = False
         self._request = bytearray()
         self._reply: memoryview | None = None
 
@@ -232,11 +230,15 @@ class _Connection:
             _logger.exception("a request had no answer")
             return _packed({"error": f"the daemon failed: {error!r:.100}"})
 
+    def end(self, selector: selectors.BaseSelector) -> None:
+        """Hang up."""
+        self.is_ended = True
+        selector.unregister(self.socket)
+        self.socket.close()
 
-def _end(selector: selectors.BaseSelector, open_ones: dict[int, _Connection], number: int) -> None:
-    one = open_ones.pop(number)
-    selector.unregister(one.socket)
-    one.socket.close()
+
+def _connections(selector: selectors.BaseSelector) -> list[_Connection]:
+    return [key.data for key in selector.get_map().values() if key.data is not None]
 
 
 def _packed(reply: dict[str, Any]) -> bytes:

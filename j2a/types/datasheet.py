@@ -11,10 +11,10 @@ from typing import Any, Final
 
 from j2a_spec.plural import counted
 
+from j2a.types.descriptors import KEYS
 from j2a.types.model import Enumeration, Structure
 from j2a.types.samples import number_text
 from j2a.types.transducers import (
-    KEYS,
     LOST_BYTES,
     NONE,
     TIME_BYTES,

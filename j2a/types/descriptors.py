@@ -18,7 +18,7 @@ from j2a.types.model import Enumeration, Structure
 from j2a.types.parser import DOC, NAME, REST, Scanner, Types, read_definitions, read_type
 from j2a.types.transducers import Descriptors, Transducer, problem
 
-__all__ = ["parse_descriptors", "parse_transducer"]
+__all__ = ["KEYS", "parse_descriptors", "parse_transducer"]
 
 _KINDS: Final = ("sensor", "actuator")
 _NUMBER: Final = re.compile(r"[0-9]{1,3}(?![0-9])")
@@ -179,3 +179,5 @@ _FORMS: Final[Mapping[str, tuple[str, Callable[[str], bool]]]] = {
     "watchdog": ("0 to 65535 milliseconds", _is_number(0, 0xFFFF)),
     "trigger": ("a key without a value", lambda text: text == ""),
 }
+KEYS: Final = tuple(_FORMS)
+"""What attributes have a meaning (SPEC.md, section 22)."""

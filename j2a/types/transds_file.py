@@ -23,13 +23,13 @@ from j2a.types.definition_file import (
     octal_problem,
     type_text,
 )
-from j2a.types.descriptors import parse_transducer
+from j2a.types.descriptors import KEYS, parse_transducer
 from j2a.types.header import C_TYPES
 from j2a.types.macros import Arguments, MacroReader, Node, Opener, Word, bare_text
 from j2a.types.model import Enumeration, Field, Structure
 from j2a.types.naming import C_KEYWORDS
 from j2a.types.parser import A_UNIT, NAME, UNIT, Scanner, read_definition
-from j2a.types.transducers import KEYS, NONE, Descriptors, Transducer, numbers_element
+from j2a.types.transducers import NONE, Descriptors, Transducer, numbers_element
 
 __all__ = ["read_transds", "strange_keys", "transds_text"]
 

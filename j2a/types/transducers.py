@@ -16,7 +16,6 @@ from j2a.events import immutable
 from j2a.types.model import SCALARS, Enumeration, Structure, Type, integer_range
 
 __all__ = [
-    "KEYS",
     "LOST_BYTES",
     "MAX_CHANNELS",
     "NONE",
@@ -35,26 +34,6 @@ __all__ = [
 
 Raw = int | float | bool
 """A value as it is on the wire, before scale and offset."""
-
-KEYS: Final = (
-    "prefix",
-    "model",
-    "na",
-    "scale",
-    "offset",
-    "range",
-    "accuracy",
-    "period",
-    "enabled",
-    "queue",
-    "decimation",
-    "threshold",
-    "topic",
-    "safe",
-    "watchdog",
-    "trigger",
-)
-"""What attributes have a meaning (SPEC.md, section 22)."""
 
 MAX_CHANNELS: Final = 255
 TIME_BYTES: Final = 8
