@@ -6,6 +6,7 @@ to read. Rule: nothing is written unless all of it can be.
 
 import argparse
 import contextlib
+import os
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -208,14 +209,18 @@ def write_files(files: Mapping[Path, str]) -> None:
     for path, text in files.items():
         if not path.name:
             raise UsageError(f"{path} is a folder: name a file in it")
-        part = path.with_name(f"{path.name}.part")  # a full disk spoils no file that is there
         with file_errors(f"cannot write {path}"):
+            if path.exists() and not path.is_file():  # a pipe or a device, which stays
+                path.write_text(_written(text), "utf-8", newline="\n")
+                continue
+            target = Path(os.path.realpath(path))  # a link stays
+            part = target.with_name(f"{target.name}.part")  # a full disk spoils no file
             try:
-                path.parent.mkdir(parents=True, exist_ok=True)
+                target.parent.mkdir(parents=True, exist_ok=True)
                 part.write_text(_written(text), "utf-8", newline="\n")
                 with contextlib.suppress(FileNotFoundError):
-                    shutil.copymode(path, part)
-                part.replace(path)
+                    shutil.copymode(target, part)
+                part.replace(target)
             except OSError:
                 with contextlib.suppress(OSError):
                     part.unlink(missing_ok=True)

@@ -236,8 +236,6 @@ def dump(data: bytes) -> list[str]:
     return lines
 
 
-def short_hex(data: bytes, limit: int = 16) -> str:
-    """Return the bytes in hex, cut after `limit` of them."""
-    if len(data) <= limit:
-        return data.hex(" ")
-    return f"{data[:limit].hex(' ')} ... ({len(data)} bytes)"
+def short_hex(data: bytes) -> str:
+    """Return the bytes in hex, cut after 16 of them."""
+    return data.hex(" ") if len(data) <= 16 else f"{data[:16].hex(' ')} ... ({len(data)} bytes)"

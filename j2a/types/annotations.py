@@ -290,18 +290,15 @@ def _hints(function: object) -> dict[str, object]:
 def _each_hint(owner: object) -> dict[str, Any]:
     """Return the own annotations of a function or class, evaluated one by one."""
     found = dict(getattr(owner, "__annotations__", {}))
+    module = getattr(owner, "__module__", "")
+    module = module if module in sys.modules else __name__
     for name, hint in found.items():
-        one = type("One", (), {"__annotations__": {name: hint}, "__module__": _module(owner)})
+        one = type("One", (), {"__annotations__": {name: hint}, "__module__": module})
         try:
             found[name] = get_type_hints(one, include_extras=True)[name]
         except Exception:
             found[name] = hint
     return found
-
-
-def _module(owner: object) -> str:
-    name = getattr(owner, "__module__", "")
-    return name if name in sys.modules else __name__
 
 
 def _is_typed(parameters: Sequence[inspect.Parameter], hints: Mapping[str, object]) -> bool:

@@ -181,8 +181,7 @@ def ros2_definition(descriptors: Descriptors, name: str) -> tuple[str, str]:
         descriptors: of the board.
         name: of the transducer.
     """
-    dialect = _Dialect("builtin_interfaces/Time", camel_case, _lower_case)
-    messages = dialect.messages(descriptors)
+    messages = ros2_messages(descriptors)
     own = list(messages)[[one.name for one in descriptors.transducers].index(name)]
     others = list(messages)[len(descriptors.transducers) :]
     structures = [one for one in descriptors.types if isinstance(one, Structure)]

@@ -140,12 +140,12 @@ def _quoted(text: str) -> str:
     return text.replace("\\", "/").replace('"', "'")
 
 
-def _doc(text: str, indent: str) -> str:
-    return f'{indent}"""{_quoted(text)}"""'
+def _doc(text: str) -> str:
+    return f'    """{_quoted(text)}"""'
 
 
 def _enumeration(name: str, definition: Enumeration, doc: str) -> Iterator[str]:
-    yield from ("", "", f"class {name}(IntEnum):", _doc(doc, "    "), "")
+    yield from ("", "", f"class {name}(IntEnum):", _doc(doc), "")
     names = _names(_OF_ENUM, (name for name, _ in definition.values))
     for value, (_, number) in zip(names, definition.values, strict=True):
         yield f"    {value} = {number}"
@@ -154,12 +154,12 @@ def _enumeration(name: str, definition: Enumeration, doc: str) -> Iterator[str]:
 def _record(name: str, fields: Sequence[Field], doc: str, classes: _Classes) -> Iterator[str]:
     # No named tuple: fields named count or index would hide what tuples have.
     yield from ("", "", "@dataclass(frozen=True)", f"class {name}:")
-    yield _doc(doc, "    ")
+    yield _doc(doc)
     names = _names([*_TYPES, *classes.values()], (field.name for field in fields))
     for attribute, field in zip(names, fields, strict=True):
         yield from ("", f"    {attribute}: {_annotation(field.type, 'tuple', classes)}")
         if field.type.unit:
-            yield _doc(f"In {field.type.unit}.", "    ")
+            yield _doc(f"In {field.type.unit}.")
 
 
 def _annotation(kind: Type, array: str, classes: _Classes) -> str:

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -230,6 +231,21 @@ def test_a_file_that_is_there_keeps_its_permissions(run, transds, tmp_path):
     new.chmod(0o640)
     assert run("transds", transds, "--html", new).code == 0
     assert new.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_link_and_a_pipe_stay_what_they_are(run, transds, tmp_path):
+    page, link, pipe = (tmp_path / name for name in ("page.html", "link.html", "pipe.html"))
+    page.write_text("old")
+    link.symlink_to(page)
+    assert run("transds", transds, "--html", link).code == 0
+    assert link.is_symlink()
+    assert "<html" in page.read_text()
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    assert run("transds", transds, "--html", pipe).code == 0
+    assert pipe.is_fifo()
+    assert b"<html" in os.read(reader, 1 << 16)
+    os.close(reader)
 
 
 def test_a_last_line_that_is_continued(run, transds, tmp_path):
