@@ -162,7 +162,7 @@ class TestCalls:
         function = board.function("liar", f"(data bytes) {result}")
         with pytest.raises(j2a.ProtocolError, match="liar: the reply is not what"):
             function(payload)
-        with pytest.raises(j2a.ProtocolError, match="1 bytes came, where 2"):
+        with pytest.raises(j2a.ProtocolError, match="1 byte came, where 2 are"):
             board.function("liar", "(data bytes) u16")(b"x")
 
     def test_long_arguments_wait_for_the_room(self):

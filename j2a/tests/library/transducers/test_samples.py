@@ -8,6 +8,7 @@ import threading
 import j2a_transports
 import pytest
 from j2a_spec import constants as c
+from j2a_spec.plural import counted
 
 import j2a
 from j2a import Batch
@@ -229,8 +230,8 @@ class TestSamples:
         device.send_sif(0x50)
         assert marked.wait(PATIENCE_S)
         assert [record.getMessage() for record in caplog.records] == [
-            f"a sample of log: {(count - 1) % 9} bytes came, where a sample has 2 and 10 for each "
-            f"value ({count} so far)"
+            f"a sample of log: {counted((count - 1) % 9, 'byte')} came, where a sample has 2 and "
+            f"10 for each value ({count} so far)"
             for count in (1, 2, 4, 8, 16, 32, 64)
         ]
         assert all(record.exc_info is None for record in caplog.records)
