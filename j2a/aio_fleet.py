@@ -21,9 +21,8 @@ from j2a.io.async_calls import AsyncCalls
 from j2a.io.async_streams import AsyncSifStream, is_set_within
 from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.fleet_base import FleetBase, by_url
-from j2a.io.handlers import ErrorHook, Handlers, Subscription
+from j2a.io.handlers import ErrorHook
 from j2a.io.loop import AsyncEngine
-from j2a.io.streams import MAX_SIFS, slice_of
 from j2a.io.threads import JOIN_S
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.roster import BoardChange, Heartbeat, Member, wanted_boards
@@ -46,7 +45,7 @@ async def by_serial(client: AsyncClient) -> str:
     return (await client.properties()).get("serial") or client.url
 
 
-class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
+class AsyncFleet(FleetBase[AsyncClient, "_Member", AsyncSifStream]):
     """The boards that are there, by their identity: `j2a.Fleet` for asyncio.
 
     Example::
@@ -69,6 +68,8 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         BadUrl: a URL can never be opened.
         LocalError: another argument is wrong, or no event loop runs.
     """
+
+    _stream_class = AsyncSifStream
 
     def __init__(
         self,
@@ -97,7 +98,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
                 self._watch_usb(self._take_usb)
         except BaseException:
             for member in self._roster.close():
-                self._stop(member)
+                member.ask_to_stop()
             raise
 
     # ------------------------------------------------------------------ boards
@@ -135,50 +136,6 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
                 raise self._roster.late(missing, timeout)
             await is_set_within(self._changed, left_s)
 
-    def on_change(
-        self, handler: Callable[[BoardChange], object]
-    ) -> Subscription[Callable[[BoardChange], object]]:
-        """Have a function called when a board has come or gone, or cannot be opened.
-
-        It runs in the task of the board. To hear of all, register it before the loop goes on.
-
-        Returns: an object whose `cancel()` ends it.
-        """
-        return self._changes.add(None, handler)
-
-    def changes(self, *, max_waiting: int = MAX_SIFS) -> AsyncSifStream:
-        """Return the changes from now on, for `async for`: `BoardChange`s, as of `on_change`."""
-        return self._stream(self._changes, max_waiting)
-
-    # ------------------------------------------------------------------ samples
-
-    def on_sample(
-        self, handler: Callable[[Sample], object], name: str | None = None
-    ) -> Subscription[Callable[[Sample], object]]:
-        """Have a function called with each sample of each board.
-
-        Samples of one board come in order, in its task of SIF handlers; a coroutine function is
-        awaited before the next one, which holds up no other board.
-
-        Args:
-            handler: takes a Sample.
-            name: of the transducer; None for all.
-
-        Returns: an object whose `cancel()` ends it.
-        """
-        return self._samples[name].add(None, handler)
-
-    def samples(self, name: str | None = None, *, max_waiting: int = MAX_SIFS) -> AsyncSifStream:
-        """Return the samples of all boards that come from now on, for `async for`.
-
-        The iteration ends when the fleet is closed, and not with a board.
-
-        Args:
-            name: of the transducer; None for all.
-            max_waiting: so many may wait; then the oldest are dropped, and counted in `lost`.
-        """
-        return self._stream(self._samples[name], max_waiting)
-
     # ------------------------------------------------------------------ end
 
     async def close(self) -> None:
@@ -188,7 +145,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         members = self._roster.close()
         self._notify()
         for member in members:
-            self._stop(member)
+            member.ask_to_stop()
         # A task that waits for this cannot end before.
         current = asyncio.current_task()
         busy = [
@@ -218,22 +175,9 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         changed, self._changed = self._changed, asyncio.Event()
         changed.set()
 
-    def _stop(self, member: "_Member") -> None:
-        member.ask_to_stop()
-
     def _take_usb(self, change: Callable[[str], None], url: str) -> None:
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(change, url)
-
-    def _stream(self, handlers: Handlers[Any], max_waiting: int) -> AsyncSifStream:
-        return AsyncSifStream(
-            handlers,
-            None,
-            self._loop.time,
-            max_waiting=max_waiting,
-            dispatcher=None,
-            slice_s=slice_of(is_simulated=False),
-        )
 
     def _deliver(self, sample: Sample) -> Awaitable[None] | None:
         return self._calls.call(self._takers(sample.name), sample)
@@ -267,7 +211,7 @@ class _Member(Member[AsyncClient]):
 
     def ask_to_stop(self) -> None:
         # Neither a handler of the user nor the end of a client is cancelled.
-        self.is_stopped = True
+        super().ask_to_stop()
         if self._can_stop:
             self._can_stop = False
             self.task.cancel()

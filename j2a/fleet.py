@@ -18,8 +18,8 @@ from j2a.events import Sample
 from j2a.io.bell import Bell
 from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.fleet_base import FleetBase, by_url
-from j2a.io.handlers import ErrorHook, Handlers, Subscription
-from j2a.io.streams import MAX_SIFS, SifStream, slice_of
+from j2a.io.handlers import ErrorHook
+from j2a.io.streams import SifStream, slice_of
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.roster import BoardChange, Heartbeat, Member, wanted_boards
@@ -35,7 +35,7 @@ def by_serial(client: Client) -> str:
     return client.properties.get("serial") or client.url
 
 
-class Fleet(FleetBase[Client, "_Member"]):
+class Fleet(FleetBase[Client, "_Member", SifStream]):
     """The boards that are there, by their identity: a mapping from it to each one's client.
 
     Example::
@@ -66,6 +66,8 @@ class Fleet(FleetBase[Client, "_Member"]):
         BadUrl: a URL can never be opened.
         LocalError: another argument is wrong.
     """
+
+    _stream_class = SifStream
 
     def __init__(
         self,
@@ -144,52 +146,6 @@ class Fleet(FleetBase[Client, "_Member"]):
                     raise self._roster.late(missing, timeout)
                 self._changed.wait(min(left_s, slice_of(is_simulated=False)))
 
-    def on_change(
-        self, handler: Callable[[BoardChange], object]
-    ) -> Subscription[Callable[[BoardChange], object]]:
-        """Have a function called when a board has come or gone, or cannot be opened.
-
-        It runs in the thread of the board. To hear of all, register it before `add`.
-
-        Returns: an object whose `cancel()` ends it.
-        """
-        return self._changes.add(None, handler)
-
-    # ------------------------------------------------------------------ samples
-
-    def on_sample(
-        self, handler: Callable[[Sample], object], name: str | None = None
-    ) -> Subscription[Callable[[Sample], object]]:
-        """Have a function called with each sample of each board.
-
-        Samples of one board come in order, in the thread of its SIF handlers; those of several
-        boards come side by side.
-
-        Args:
-            handler: takes a Sample.
-            name: of the transducer; None for all.
-
-        Returns: an object whose `cancel()` ends it.
-        """
-        with self._lock:
-            return self._samples[name].add(None, handler)
-
-    def samples(self, name: str | None = None, *, max_waiting: int = MAX_SIFS) -> SifStream:
-        """Return the samples of all boards that come from now on, to iterate over.
-
-        The iteration ends when the fleet is closed, and not with a board.
-
-        Args:
-            name: of the transducer; None for all.
-            max_waiting: so many may wait; then the oldest are dropped, and counted in `lost`.
-        """
-        with self._lock:
-            return self._stream(self._samples[name], max_waiting)
-
-    def changes(self, *, max_waiting: int = MAX_SIFS) -> SifStream:
-        """Return the changes from now on, to iterate over: `BoardChange`s, as of `on_change`."""
-        return self._stream(self._changes, max_waiting)
-
     # ------------------------------------------------------------------ end
 
     def close(self) -> None:
@@ -206,7 +162,7 @@ class Fleet(FleetBase[Client, "_Member"]):
         if self._usb is not None:
             self._usb.close()
         for member in members:
-            self._stop(member)
+            member.ask_to_stop()
         # A thread that waits for this one cannot end before.
         current = threading.current_thread()
         boards = [one.thread for one in members if one.is_open and one.dispatcher is not current]
@@ -223,19 +179,6 @@ class Fleet(FleetBase[Client, "_Member"]):
 
     def _notify(self) -> None:
         self._changed.notify_all()
-
-    def _stop(self, member: "_Member") -> None:
-        member.ask_to_stop()
-
-    def _stream(self, handlers: Handlers[Any], max_waiting: int) -> SifStream:
-        return SifStream(
-            handlers,
-            None,
-            monotonic,
-            max_waiting=max_waiting,
-            dispatcher=None,
-            slice_s=slice_of(is_simulated=False),
-        )
 
     def _deliver(self, sample: Sample) -> None:
         for deliver in self._takers(sample.name):
@@ -275,7 +218,7 @@ class _Member(Member[Client]):
         self.thread = start_thread(self._run, f"j2a fleet {self.url}")
 
     def ask_to_stop(self) -> None:
-        self.is_stopped = True
+        super().ask_to_stop()
         self._wake.ring()
 
     def _run(self) -> None:

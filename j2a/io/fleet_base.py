@@ -12,6 +12,7 @@ import threading
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
+from time import monotonic
 from typing import Any, Generic, TypeVar
 
 import j2a_transports
@@ -28,9 +29,10 @@ from j2a.errors import (
 )
 from j2a.events import Sample
 from j2a.io.client_base import ClientBase
-from j2a.io.handlers import ErrorHook, Handlers, Reporter
+from j2a.io.handlers import ErrorHook, Handlers, Reporter, Subscription
 from j2a.io.opening import TRANSPORT_ERRORS, link_error
 from j2a.io.samples import WantedSamples
+from j2a.io.streams import MAX_SIFS, SifStreamBase, slice_of
 from j2a.io.threads import start_thread
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.roster import BoardChange, Member, Roster
@@ -40,6 +42,7 @@ __all__ = ["FleetBase", "by_url"]
 _logger = logging.getLogger("j2a")
 _ClientT = TypeVar("_ClientT", bound=ClientBase)
 _MemberT = TypeVar("_MemberT", bound=Member[Any])
+_StreamT = TypeVar("_StreamT", bound=SifStreamBase)
 
 
 def by_url(client: ClientBase) -> str:
@@ -75,8 +78,10 @@ class FleetTransducers(dict[tuple[str, str], Any]):
         )
 
 
-class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
+class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
     """The boards that are here, by identity; each kind of fleet adds its own way of waiting."""
+
+    _stream_class: type[_StreamT]
 
     def __init__(
         self,
@@ -146,7 +151,7 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
         with self._lock:
             member = self._roster.remove(board)
             self._notify()
-        self._stop(member)
+        member.ask_to_stop()
 
     def _check_new(self, url: str) -> None:
         """Refuse a URL that cannot be added.
@@ -168,9 +173,62 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
     def _notify(self) -> None:
         """Wake those who wait for boards; the lock is held."""
 
-    @abstractmethod
-    def _stop(self, member: _MemberT) -> None:
-        """Have a member end; returns at once."""
+    # ------------------------------------------------------------------ handlers and streams
+
+    def on_change(
+        self, handler: Callable[[BoardChange], object]
+    ) -> Subscription[Callable[[BoardChange], object]]:
+        """Have a function called when a board has come or gone, or cannot be opened.
+
+        It runs in the thread or task of the board. To hear of all, register it before `add`.
+
+        Returns: an object whose `cancel()` ends it.
+        """
+        return self._changes.add(None, handler)
+
+    def on_sample(
+        self, handler: Callable[[Sample], object], name: str | None = None
+    ) -> Subscription[Callable[[Sample], object]]:
+        """Have a function called with each sample of each board.
+
+        Samples of one board come in order, in the thread or task of its SIF handlers; those of
+        several boards come side by side. A coroutine function of an `AsyncFleet` is awaited before
+        the next one, which holds up no other board.
+
+        Args:
+            handler: takes a Sample.
+            name: of the transducer; None for all.
+
+        Returns: an object whose `cancel()` ends it.
+        """
+        with self._lock:
+            return self._samples[name].add(None, handler)
+
+    def samples(self, name: str | None = None, *, max_waiting: int = MAX_SIFS) -> _StreamT:
+        """Return the samples of all boards that come from now on, to iterate over.
+
+        The iteration ends when the fleet is closed, and not with a board.
+
+        Args:
+            name: of the transducer; None for all.
+            max_waiting: so many may wait; then the oldest are dropped, and counted in `lost`.
+        """
+        with self._lock:
+            return self._stream(self._samples[name], max_waiting)
+
+    def changes(self, *, max_waiting: int = MAX_SIFS) -> _StreamT:
+        """Return the changes from now on, to iterate over: `BoardChange`s, as of `on_change`."""
+        return self._stream(self._changes, max_waiting)
+
+    def _stream(self, handlers: Handlers[Any], max_waiting: int) -> _StreamT:
+        return self._stream_class(
+            handlers,
+            None,
+            monotonic,
+            max_waiting=max_waiting,
+            dispatcher=None,
+            slice_s=slice_of(is_simulated=False),
+        )
 
     # ------------------------------------------------------------------ members
 

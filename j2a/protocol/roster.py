@@ -62,6 +62,10 @@ class Member(Generic[_ClientT]):
         self.problem: J2AError | None = None
         self.is_stopped = False
 
+    def ask_to_stop(self) -> None:
+        """Have it end; returns at once."""
+        self.is_stopped = True
+
 
 _MemberT = TypeVar("_MemberT", bound=Member[Any])
 
