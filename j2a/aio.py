@@ -121,7 +121,7 @@ class AsyncClient(ClientBase):
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
         self._functions: tuple[object, AsyncFunctions] | None = None
-        self._engine = AsyncEngine(
+        self._engine: AsyncEngine = AsyncEngine(
             transport,
             self._session,
             self._handlers,
@@ -346,13 +346,6 @@ class AsyncClient(ClientBase):
         """
         await self._drive(self._refresh(boot_time), self._device_limits(self.now(), boot_time))
 
-    def now(self) -> float:
-        """Return the time on which the limits of this link run, in seconds.
-
-        That is the machine's monotonic clock, or the simulated time of a simulated board.
-        """
-        return self._engine.now()
-
     # ------------------------------------------------------------------ SIFs
 
     @overload
@@ -418,9 +411,6 @@ class AsyncClient(ClientBase):
         except J2AError as error:
             restart = self._failed_relearning(restart, error)
         return restart, Handlers() if isinstance(restart, Doubt) else self._restart_handlers
-
-    def _tell_restart(self, restart: Restart) -> None:
-        self._engine.tell_restart(restart)
 
     async def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         generation = self._session.generation

@@ -88,7 +88,7 @@ class Client(ClientBase):
         self._transport = transport
         self._functions: tuple[object, RemoteFunctions[Function]] | None = None
         self._transducers: tuple[object, Transducers[Any]] | None = None
-        self._engine = Engine(
+        self._engine: Engine = Engine(
             transport,
             self._session,
             self._handlers,
@@ -363,13 +363,6 @@ class Client(ClientBase):
         """
         self._drive(self._refresh(boot_time), self._device_limits(self.now(), boot_time))
 
-    def now(self) -> float:
-        """Return the time on which the limits of this link run, in seconds.
-
-        That is the machine's monotonic clock, or the simulated time of a simulated board.
-        """
-        return self._transport.clock()
-
     # ------------------------------------------------------------------ SIFs
 
     @overload
@@ -490,9 +483,6 @@ class Client(ClientBase):
         except J2AError as error:
             restart = self._failed_relearning(restart, error)
         return restart, Handlers() if isinstance(restart, Doubt) else self._restart_handlers
-
-    def _tell_restart(self, restart: Restart) -> None:
-        self._engine.tell_restart(restart)
 
     def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         generation = self._session.generation

@@ -228,7 +228,7 @@ class _Member(Member[Client]):
             reason: J2AError | None = None
             try:
                 with self._connect() as client:
-                    self.dispatcher = client._engine._dispatcher
+                    self.dispatcher = client._engine.dispatcher
                     self.is_open = True
                     change = fleet._come(self, client, str(fleet._identify(client)))
                     board = change.board

@@ -4,7 +4,7 @@ The public names are those of `j2a`.
 
     opening                    opens transports, and turns their errors into those of `j2a`
     threads                    the threads that read and write a transport
-    client_base                what both clients have in common
+    client_base, engine_base   what both clients have in common, and their engines
     blocking, loop             how the blocking client waits, and the one in an event loop
     remote                     the functions of a device, as a host calls them
     handlers                   who wants which SIF

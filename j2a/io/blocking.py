@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 from j2a_transports import TransportError
 
 from j2a.errors import LinkClosed, LinkError, LocalError
-from j2a.events import Doubt, Reply, Restart, Sif
-from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
-from j2a.io.handlers import ErrorHook, Handlers, NamedSif, Opcodes, Reporter
+from j2a.events import Reply, Restart, Sif
+from j2a.io.engine_base import MAX_SIFS_WAITING, EngineBase
+from j2a.io.handlers import ErrorHook, Handlers
 from j2a.io.opening import WAIT_S
-from j2a.io.streams import SifStream, slice_of
-from j2a.io.threads import JOIN_S, LEAD_S, LinkThreads, clock_of, join_threads, start_thread
+from j2a.io.streams import SifStream
+from j2a.io.threads import JOIN_S, LEAD_S, LinkThreads, join_threads, start_thread
 from j2a.protocol.session import Call, Event, Session
 
 if TYPE_CHECKING:
@@ -48,17 +48,11 @@ _new_lock: Final = threading.Lock
 _logger = logging.getLogger("j2a")
 
 
-class Engine:
-    """Moves calls and SIFs between a session and a transport.
+class Engine(EngineBase[SifStream]):
+    """The engine of the blocking client; see `EngineBase`."""
 
-    Args:
-        transport: is closed at the end.
-        session: belongs to the engine from now on.
-        handlers: of SIFs; the engine calls them as long as somebody else keeps them.
-        on_handler_error: see `Client`.
-        restarted: learns anew what the device has, and returns what handlers of restarts are told
-            and these handlers; a weak one, because it belongs to the client.
-    """
+    _stream_class = SifStream
+    _link: LinkThreads
 
     def __init__(
         self,
@@ -68,16 +62,8 @@ class Engine:
         on_handler_error: ErrorHook | None,
         restarted: "weakref.WeakMethod[_Restarted]",
     ) -> None:
-        self._transport = transport
-        self._clock = clock_of(transport)
-        self._is_simulated = transport.is_simulated
-        self._session = session
-        self._handlers = weakref.ref(handlers)
-        self._restarted = restarted
-        self._restart: Restart | None = None
-        self._reporter = Reporter(on_handler_error)
+        super().__init__(transport, session, handlers, on_handler_error, restarted)
         self._sifs: queue.SimpleQueue[Sif | Restart | None] = queue.SimpleQueue()
-        self._takes_sifs = True
         self._drops_sifs = False
         # Whoever takes the second holds the first while it waits, except for the reader, which only
         # passes through: it would take the second again at once and keep all others waiting.
@@ -86,10 +72,9 @@ class Engine:
         self._turn = threading.RLock()
         self._state = threading.Lock()
         self._closing = threading.RLock()
-        take_stale_input(transport, session)
         self._link = LinkThreads(transport, self._receive, self._judge, self._end)
         self.check_process = self._link.check_process
-        self._dispatcher = start_thread(self._dispatch, f"j2a handlers {transport.url}")
+        self.dispatcher = start_thread(self._dispatch, f"j2a handlers {transport.url}")
         try:
             self._link.start()
         except LinkError as error:
@@ -115,7 +100,7 @@ class Engine:
         try:
             if session.waiting or was_leading or not link.start_leading():
                 with self._turn, self._state:
-                    now = self._clock()
+                    now = self.now()
                     call = session.start_call(
                         what, opcode, payload, now, limit_s, waiter, generation
                     )
@@ -125,7 +110,7 @@ class Engine:
                 # Nobody else calls or reads, so what follows needs no other thread.
                 try:
                     with self._turn:
-                        now = self._clock()
+                        now = self.now()
                         call = session.start_call(
                             what, opcode, payload, now, limit_s, waiter, generation
                         )
@@ -160,7 +145,7 @@ class Engine:
         was_leading = self._link.is_leading
         try:
             with self._turn, self._state:
-                now = self._clock()
+                now = self.now()
                 for (what, opcode, payload, limit_s), waiter in zip(requests, waiters, strict=True):
                     waiter.acquire()
                     calls.append(
@@ -203,7 +188,7 @@ class Engine:
         if self._is_interrupted():
             self._link.abandon("was closed by this program")
             return
-        if threading.current_thread() is self._dispatcher:
+        if threading.current_thread() is self.dispatcher:
             self._drops_sifs = True
             self._finish()
             return
@@ -212,16 +197,9 @@ class Engine:
                 if not self._session.is_closed:
                     self._link.wait_for_look()
                     self._finish_sifs()
-                self._dispatcher.join(JOIN_S)
+                self.dispatcher.join(JOIN_S)
             finally:
                 self._finish()
-
-    def abandon(self) -> bool:
-        """End the link without waiting, in a destructor; tell whether it was still there."""
-        if self._link.is_inherited or self._session.is_closed:
-            return False
-        self._link.abandon("was dropped without close")
-        return True
 
     def _is_interrupted(self) -> bool:
         """Whether this thread holds the locks: it is a signal handler amid the engine's work."""
@@ -229,7 +207,7 @@ class Engine:
         return is_owned
 
     def _wait(self, call: Call, waiter: threading.Lock, was_leading: bool) -> None:
-        now = self._clock()
+        now = self.now()
         if was_leading:
             # A signal handler has interrupted the thread that leads: nobody else can.
             self._lead(call, now, math.inf)
@@ -248,11 +226,11 @@ class Engine:
             if self._is_simulated:
                 pass  # who reads sees that the time is over
             elif call.deadline is not None:
-                left_s = call.deadline - self._clock()
+                left_s = call.deadline - self.now()
             if left_s > 0:
                 waiter.acquire(timeout=min(left_s, WAIT_S))
             elif not waiter.acquire(timeout=self._link.look()):
-                self._judge(self._clock())
+                self._judge(self.now())
 
     def _lead(self, call: Call, now: float, end: float) -> None:
         """Read for a call that waits, in its own thread, until it has ended or until `end`."""
@@ -275,7 +253,7 @@ class Engine:
                             raise
                     if call.has_ended:
                         break
-                now = self._clock()
+                now = self.now()
         except TransportError:
             pass  # as above
 
@@ -309,12 +287,12 @@ class Engine:
     def _receive(self, piece: bytes) -> None:
         if self._turn._is_owned():  # type: ignore[attr-defined]
             # Of a caller that leads.
-            self._settle(self._session.receive(piece, self._clock()))
+            self._settle(self._session.receive(piece, self.now()))
             return
         with self._turn:
             pass
         with self._state:
-            self._settle(self._session.receive(piece, self._clock()))
+            self._settle(self._session.receive(piece, self.now()))
 
     # ------------------------------------------------------------------ SIFs
 
@@ -324,19 +302,13 @@ class Engine:
         else:
             self._session.count("sifs_dropped")
 
+    def _queue(self, event: Sif | Restart | None) -> None:
+        self._sifs.put(event)
+
     def tell_restart(self, restart: Restart) -> None:
         """Note a restart of which the device has not told; its handlers come after the SIFs."""
         with self._turn, self._state:
-            self._session.note_restart()
-            self._queue_restart(restart)
-
-    def _queue_restart(self, restart: Restart) -> None:
-        if isinstance(restart, Doubt) and self._restart is not None:
-            return
-        # A device that restarts all the time is told of once, when there is time for it.
-        if self._restart is None and self._takes_sifs:
-            self._sifs.put(restart)
-        self._restart = restart
+            super().tell_restart(restart)
 
     def _finish_sifs(self) -> None:
         """Let the dispatcher run out after the SIFs that wait."""
@@ -374,29 +346,6 @@ class Engine:
             with self._turn, self._state:
                 self._session.count("handler_errors")
             self._reporter.report(error, event)
-
-    def _finish_streams(self) -> None:
-        """Tell those who wait for SIFs that none will come any more."""
-        handlers, reason = self._handlers(), self._session.end_reason
-        if handlers is not None:
-            handlers.finish(reason or LinkClosed(f"{self._transport.url} was closed"))
-
-    def stream(
-        self, wanted: Opcodes | NamedSif, max_waiting: int, *, drops_newest: bool = False
-    ) -> SifStream:
-        """Return the SIFs from now on; see `Client.sifs`."""
-        self.check_process()
-        handlers = self._handlers()
-        assert handlers is not None  # the client has them
-        return SifStream(
-            handlers,
-            wanted,
-            self._clock,
-            max_waiting=max_waiting,
-            drops_newest=drops_newest,
-            dispatcher=self._dispatcher,
-            slice_s=slice_of(self._is_simulated),
-        )
 
     def _deliver(self, sif: Sif) -> None:
         handlers = self._handlers()
@@ -438,7 +387,7 @@ class Engine:
                 "%s was closed before %d SIFs reached their handlers", self._transport.url, dropped
             )
         join_threads(self._link.threads, JOIN_S)
-        join_threads([self._dispatcher], _LEAVE_S)
+        join_threads([self.dispatcher], _LEAVE_S)
 
     def _end(self, reason: LinkError | LocalError) -> None:
         """End all calls with the reason and let the threads run out."""

@@ -57,20 +57,14 @@ from j2a.types.model import Described, Interface
 from j2a.types.parser import parse_definitions, parse_signature
 
 if TYPE_CHECKING:
-    from j2a_transports import Transport
-
     from j2a.io.clock_base import ClockBase
+    from j2a.io.engine_base import EngineBase
 
 __all__ = [
-    "MAX_SIFS_WAITING",
     "ClientBase",
     "check_echo",
     "checked",
-    "take_stale_input",
 ]
-
-MAX_SIFS_WAITING: Final = 65536
-"""So many SIFs may wait for slow handlers; further ones are dropped and counted."""
 
 MAX_DEBUG_READS: Final = 256
 """A device that writes debug text faster than it is read does not keep its reader for ever."""
@@ -82,12 +76,12 @@ _MAP_ASKS: Final = 4
 _ASKS: Final = 4
 """What a device says of itself is asked for so often, where no answer comes and time is left."""
 _FIRST_LIMIT_S: Final = 0.25
-_STALE_BYTES: Final = 2**18
 
 
 class ClientBase:
     """State and options that both clients have; each adds its own way of waiting."""
 
+    _engine: "EngineBase[Any]"
     # Made when somebody first asks for it.
     _clock: "ClockBase | None" = None
 
@@ -131,8 +125,11 @@ class ClientBase:
         self._handlers.add(None, self._source.take)
 
     def now(self) -> float:
-        """Return the time on which the limits of this link run, in seconds."""
-        raise NotImplementedError
+        """Return the time on which the limits of this link run, in seconds.
+
+        That is the machine's monotonic clock, or the simulated time of a simulated board.
+        """
+        return self._engine.now()
 
     @property
     def url(self) -> str:
@@ -231,10 +228,6 @@ class ClientBase:
         is_changed, self._has_changed = self._has_changed, False
         found = self._device.interface_hash
         return replace(restart, interface_hash=found, is_changed=is_changed)
-
-    def _tell_restart(self, restart: Restart) -> None:
-        """Note a restart of which the device has not told, and have the handlers called."""
-        raise NotImplementedError
 
     def _failed_relearning(self, restart: Restart, error: J2AError) -> Restart:
         """Return what handlers are told when what the device has could not be learnt."""
@@ -439,7 +432,7 @@ class ClientBase:
         if is_doubted:
             # It has restarted without a boot SIF: what began before is over.
             self._generation += 1
-            self._tell_restart(Restart(interface_hash=device.interface_hash))
+            self._engine.tell_restart(Restart(interface_hash=device.interface_hash))
 
     def _learn_interface(self) -> Transfer[None]:
         """Learn all beside the map, where that was not done.
@@ -672,19 +665,6 @@ def _ask_map(limit_s: float) -> Transfer[Reply | None]:
         return reply
     except OpcodeRefused:
         return None
-
-
-def take_stale_input(transport: "Transport", session: Session) -> None:
-    """Give a session what was waiting in the link before it began.
-
-    A reply in it answers nobody: no call has been made. SIFs in it are counted, and lost: nobody
-    can have registered a handler yet.
-    """
-    with contextlib.suppress(Exception):  # the reader meets the same error again
-        taken = 0
-        while taken < _STALE_BYTES and (data := transport.read(0)):
-            session.receive(data)
-            taken += len(data)
 
 
 def _boot_limits(total_s: float) -> Iterator[float]:

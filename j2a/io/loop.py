@@ -17,14 +17,13 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
-from j2a.events import Doubt, Reply, Restart, Sif
+from j2a.events import Reply, Restart, Sif
 from j2a.io.async_calls import AsyncCalls
 from j2a.io.async_streams import AsyncSifStream
-from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
-from j2a.io.handlers import ErrorHook, Handlers, Reporter, Wanted
+from j2a.io.engine_base import MAX_SIFS_WAITING, EngineBase
+from j2a.io.handlers import ErrorHook, Handlers
 from j2a.io.links import ThreadedLink, WatchedLink
-from j2a.io.streams import slice_of
-from j2a.io.threads import JOIN_S, LOOK_S, clock_of, join_threads, start_thread
+from j2a.io.threads import JOIN_S, LOOK_S, join_threads, start_thread
 from j2a.protocol.session import Call, Event, Session
 
 if TYPE_CHECKING:
@@ -48,17 +47,11 @@ _handled: Final[ContextVar[Sif | Restart | None]] = ContextVar("j2a_handled", de
 """What the handler got that has begun the task, as `asyncio.wait_for` of Python 3.11 does."""
 
 
-class AsyncEngine:
-    """Moves calls and SIFs between a session in the running event loop and a transport.
+class AsyncEngine(EngineBase[AsyncSifStream]):
+    """The engine of the asyncio client; see `EngineBase`."""
 
-    Args:
-        transport: is closed at the end.
-        session: belongs to the engine from now on.
-        handlers: of SIFs; the engine calls them as long as somebody else keeps them.
-        on_handler_error: see `j2a.Client`.
-        restarted: learns anew what the device has, and returns what handlers of restarts are told
-            and these handlers; a weak one, because it belongs to the client.
-    """
+    _stream_class = AsyncSifStream
+    _link: WatchedLink | ThreadedLink
 
     def __init__(
         self,
@@ -68,18 +61,10 @@ class AsyncEngine:
         on_handler_error: ErrorHook | None,
         restarted: "weakref.WeakMethod[_Restarted]",
     ) -> None:
-        self._transport = transport
-        self._session = session
-        self._restarted = restarted
-        self._restart: Restart | None = None
-        self._handlers = weakref.ref(handlers)
-        self._reporter = Reporter(on_handler_error)
+        super().__init__(transport, session, handlers, on_handler_error, restarted)
         self._loop = asyncio.get_running_loop()
-        self.now = clock_of(transport)
-        self._is_simulated = transport.is_simulated
         self._sifs: deque[Sif | Restart | None] = deque()  # None is the end
         self._came = asyncio.Event()
-        self._takes_sifs = True
         self._delivered: Sif | Restart | None = None  # what the dispatcher calls handlers with
         self._calls = AsyncCalls(self._handler_failed, (asyncio.CancelledError,))
         # The next time at which time limits are judged; nothing may be late then.
@@ -90,7 +75,6 @@ class AsyncEngine:
         self._look_limit: asyncio.TimerHandle | None = None
         self._flood_limit = math.inf
         self._looks: list[tuple[float, asyncio.Future[None]]] = []
-        take_stale_input(transport, session)
         self.dispatcher = self._loop.create_task(self._dispatch())
         try:
             self._link = self._start_link()
@@ -200,13 +184,6 @@ class AsyncEngine:
         """Whether the handler that runs may wait for this task: it is the one, or has begun it."""
         return self._delivered is not None and _handled.get() is self._delivered
 
-    def abandon(self) -> bool:
-        """End the link without waiting, in a destructor; tell whether it was still there."""
-        if self._link.is_inherited or self._session.is_closed:
-            return False
-        self._link.abandon("was dropped without close")
-        return True
-
     async def _deliver_what_came(self) -> None:
         if not self._session.is_closed:
             looked: asyncio.Future[None] = self._loop.create_future()
@@ -291,7 +268,6 @@ class AsyncEngine:
         self._looks = [look for look in self._looks if not look[1].done()]
 
     def _queue(self, event: Sif | Restart | None) -> None:
-        """Have the dispatcher take something."""
         self._sifs.append(event)
         self._came.set()
 
@@ -316,19 +292,6 @@ class AsyncEngine:
                 turn_ends = self._loop.time() + _TURN_S
         self._finish_streams()
 
-    def tell_restart(self, restart: Restart) -> None:
-        """Note a restart of which the device has not told; its handlers come after the SIFs."""
-        self._session.note_restart()
-        self._queue_restart(restart)
-
-    def _queue_restart(self, restart: Restart) -> None:
-        if isinstance(restart, Doubt) and self._restart is not None:
-            return
-        # A device that restarts all the time is told of once, when there is time for it.
-        if self._restart is None and self._takes_sifs:
-            self._queue(restart)
-        self._restart = restart
-
     async def _deliver_restart(self, restart: Restart) -> None:
         restart, self._restart = self._restart or restart, None
         restarted = self._restarted()
@@ -345,29 +308,6 @@ class AsyncEngine:
             raise error
         self._session.count("handler_errors")
         self._reporter.report(error, event)
-
-    def _finish_streams(self) -> None:
-        """Tell those who wait for SIFs that none will come any more."""
-        handlers, reason = self._handlers(), self._session.end_reason
-        if handlers is not None:
-            handlers.finish(reason or LinkClosed(f"{self._transport.url} was closed"))
-
-    def stream(
-        self, wanted: Wanted, max_waiting: int, *, drops_newest: bool = False
-    ) -> AsyncSifStream:
-        """Return the SIFs from now on; see `AsyncClient.sifs`."""
-        self.check_process()
-        handlers = self._handlers()
-        assert handlers is not None  # the client has them
-        return AsyncSifStream(
-            handlers,
-            wanted,
-            self.now,
-            max_waiting=max_waiting,
-            drops_newest=drops_newest,
-            dispatcher=self.dispatcher,
-            slice_s=slice_of(self._is_simulated),
-        )
 
     def _deliver(self, sif: Sif) -> Awaitable[None] | None:
         """Call the handlers of a SIF; return what is to be awaited, None where all have ended."""

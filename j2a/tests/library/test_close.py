@@ -138,7 +138,7 @@ class TestSifsAtClose:
             assert wire.client.counters.sifs_dropped == 39
             assert "before 39 SIFs reached" in caplog.text
             gate.set()
-            wire.client._engine._dispatcher.join(PATIENCE_S)
+            wire.client._engine.dispatcher.join(PATIENCE_S)
             assert seen == [0]
 
     def test_a_handler_that_closes_is_the_last(self):
@@ -146,7 +146,7 @@ class TestSifsAtClose:
             seen = []
             wire.client.on_sif(None, lambda sif: (seen.append(sif.opcode), wire.client.close()))
             wire.send(*sifs(range(40)))
-            wire.client._engine._dispatcher.join(PATIENCE_S)
+            wire.client._engine.dispatcher.join(PATIENCE_S)
             assert seen == [0]
             assert wire.client.counters.sifs_dropped == wire.client.counters.sifs - 1
 
@@ -270,7 +270,7 @@ class TestDropped:
         done = threading.Event()
         far.write(wire_bytes(sifs([1])))
         assert done.wait(PATIENCE_S)
-        threads = [*client._engine._link.threads, client._engine._dispatcher]
+        threads = [*client._engine._link.threads, client._engine.dispatcher]
         gone = weakref.ref(client)
         with pytest.warns(ResourceWarning, match=r"unclosed <j2a\.Client loopback: open>"):
             del client

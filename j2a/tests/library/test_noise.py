@@ -13,7 +13,7 @@ from j2a_spec.constants import MAX_PAYLOAD, SOF, SOS
 import j2a
 from j2a.demo import DemoDevice
 from j2a.events import Reply
-from j2a.io.client_base import take_stale_input
+from j2a.io.engine_base import take_stale_input
 from j2a.protocol.session import Session
 
 from .noise import KINDS, RATES, Noise, outcome_of
