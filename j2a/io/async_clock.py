@@ -1,14 +1,13 @@
 """The clock of a board for asyncio; see `j2a.io.clock`."""
 
 import asyncio
-import logging
 import math
 from collections.abc import Callable, Generator
 from typing import Any, Self, TypeVar
 
-from j2a.errors import J2AError, LinkError, LocalError
+from j2a.errors import LocalError
 from j2a.io.clock import ROUNDS, check_period, check_rounds
-from j2a.io.clock_base import ClockBase, ClockReading
+from j2a.io.clock_base import ClockBase, ClockReading, KeeperBase
 from j2a.io.streams import slice_of
 from j2a.protocol.clock import LOOK_S, Exchange, Status
 from j2a.protocol.clock.discipline import BURST
@@ -17,7 +16,6 @@ from j2a.types.samples import check_time
 
 __all__ = ["AsyncClock", "AsyncClockKeeper"]
 
-_logger = logging.getLogger("j2a")
 _Result = TypeVar("_Result")
 
 
@@ -67,19 +65,11 @@ class AsyncClock(ClockBase):
 
     async def measure(self, rounds: int = ROUNDS, timeout: float | None = None) -> ClockReading:
         """Make exchanges and return what is known then; `Clock.measure` for asyncio."""
-        for number in range(check_rounds(rounds)):
-            if number:
-                await self._pause(self._discipline.delay_s(0.05))
-            await self._run(self._measure, timeout)
-        return self._reading()
+        return await self._repeat(self._measure, rounds, timeout)
 
     async def sync(self, rounds: int = ROUNDS, timeout: float | None = None) -> ClockReading:
         """Make exchanges and set the clock of the board by them; `Clock.sync` for asyncio."""
-        for number in range(check_rounds(rounds)):
-            if number:
-                await self._pause(self._discipline.delay_s(0.05))
-            await self._run(lambda: self._adjust(min(rounds, BURST)), timeout)
-        return self._reading()
+        return await self._repeat(lambda: self._adjust(min(rounds, BURST)), rounds, timeout)
 
     # ------------------------------------------------------------------ for as long as it lasts
 
@@ -98,6 +88,15 @@ class AsyncClock(ClockBase):
         return AsyncClockKeeper(self, check_period(period_s), is_setting=False)
 
     # ------------------------------------------------------------------ machinery
+
+    async def _repeat(
+        self, transfer: Callable[[], Transfer[object]], rounds: int, timeout: float | None
+    ) -> ClockReading:
+        for number in range(check_rounds(rounds)):
+            if number:
+                await self._pause(self._discipline.delay_s(0.05))
+            await self._run(transfer, timeout)
+        return self._reading()
 
     async def _run(
         self, transfer: Callable[[], Transfer[_Result]], timeout: float | None
@@ -137,29 +136,13 @@ class AsyncClock(ClockBase):
             await asyncio.sleep(min(left_s, slice_s))
 
 
-class AsyncClockKeeper:
-    """A task that follows or disciplines the clock of a board; see `j2a.clock.ClockKeeper`.
-
-    Attributes:
-        rounds: exchanges that were made.
-        failures: those that failed.
-        error: why the last one that failed did; None before.
-    """
+class AsyncClockKeeper(KeeperBase):
+    """A task that follows or disciplines the clock of a board; see `j2a.clock.ClockKeeper`."""
 
     def __init__(self, clock: AsyncClock, period_s: float, is_setting: bool) -> None:
-        self.rounds = 0
-        self.failures = 0
-        self.error: J2AError | None = None
-        self._clock = clock
-        self._period_s = period_s
-        self._is_setting = is_setting
+        super().__init__(clock, period_s, is_setting)
         self._task: asyncio.Task[None] | None = None
         self._forget: Callable[[], None] = lambda: None
-
-    def _note(self, error: J2AError) -> None:
-        self.failures += 1
-        # Without the traceback, whose frames keep the client alive.
-        self.error = error.copy(str(error), error.outcome)
 
     @property
     def is_running(self) -> bool:
@@ -202,25 +185,15 @@ class AsyncClockKeeper:
                 break
 
     async def _work(self) -> None:
-        clock = self._clock
-        turn = clock._adjust if self._is_setting else clock._measure
-        steps = clock._host.reference.steps
         while True:
             delay_s = self._period_s
             try:
-                await clock._run(turn, None)
-                self.rounds += 1
-                delay_s = clock._discipline.delay_s(self._period_s)
-            except LinkError as error:
-                self._note(error)
-                if clock._is_over():
+                await self._clock._run(self._round, None)
+                delay_s = self._succeeded()
+            except Exception as error:
+                if self._failed(error):
                     return
-            except J2AError as error:
-                self._note(error)
-            except Exception:
-                self.failures += 1
-                _logger.exception("the clock of %s could not be asked", clock._url)
-            steps = clock._note_step(steps)
+            self._note_step()
             await self._wait(delay_s)
 
 

@@ -6,14 +6,13 @@ clock ends with the client, raises nothing, and keeps no client alive.
 """
 
 import contextlib
-import logging
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any, Final, Self, TypeVar
 
-from j2a.errors import J2AError, LinkError, LocalError
+from j2a.errors import LocalError
 from j2a.io.bell import Flag
-from j2a.io.clock_base import ClockBase, ClockReading
+from j2a.io.clock_base import ClockBase, ClockReading, KeeperBase
 from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 from j2a.protocol.clock import LOOK_S, Exchange, Status
@@ -27,7 +26,6 @@ ROUNDS: Final = 16
 """So many exchanges are made unless the user says otherwise."""
 MAX_PERIOD_S: Final = 5.0
 """A board that is not adjusted for 10 s goes into holdover."""
-_logger = logging.getLogger("j2a")
 _Result = TypeVar("_Result")
 
 
@@ -104,11 +102,7 @@ class Clock(ClockBase):
         Raises: as `Client.call`; NoClock where the board tells no time, or
             times that do not fit together.
         """
-        for number in range(check_rounds(rounds)):
-            if number:
-                self._pause(self._discipline.delay_s(0.05))
-            self._run(self._measure, timeout)
-        return self._reading()
+        return self._repeat(self._measure, rounds, timeout)
 
     def sync(self, rounds: int = ROUNDS, timeout: float | None = None) -> ClockReading:
         """Make exchanges and set the clock of the board by them, once.
@@ -117,11 +111,7 @@ class Clock(ClockBase):
 
         Raises: as `measure`; NoClock also where the clock cannot be set.
         """
-        for number in range(check_rounds(rounds)):
-            if number:
-                self._pause(self._discipline.delay_s(0.05))
-            self._run(lambda: self._adjust(min(rounds, BURST)), timeout)
-        return self._reading()
+        return self._repeat(lambda: self._adjust(min(rounds, BURST)), rounds, timeout)
 
     # ------------------------------------------------------------------ for as long as it lasts
 
@@ -159,6 +149,15 @@ class Clock(ClockBase):
     def _ask_once(self) -> None:
         if not self._is_known:
             self.measure(1)
+
+    def _repeat(
+        self, transfer: Callable[[], Transfer[object]], rounds: int, timeout: float | None
+    ) -> ClockReading:
+        for number in range(check_rounds(rounds)):
+            if number:
+                self._pause(self._discipline.delay_s(0.05))
+            self._run(transfer, timeout)
+        return self._reading()
 
     def _run(self, transfer: Callable[[], Transfer[_Result]], timeout: float | None) -> _Result:
         client = self._client
@@ -198,7 +197,7 @@ class Clock(ClockBase):
                 return
 
 
-class ClockKeeper:
+class ClockKeeper(KeeperBase):
     """A thread that follows or disciplines the clock of a board; ends with its client.
 
     It tells what happens by its attributes, and raises nothing.
@@ -210,20 +209,10 @@ class ClockKeeper:
     """
 
     def __init__(self, clock: Clock, period_s: float, is_setting: bool) -> None:
-        self.rounds = 0
-        self.failures = 0
-        self.error: J2AError | None = None
-        self._clock = clock
-        self._period_s = period_s
-        self._is_setting = is_setting
+        super().__init__(clock, period_s, is_setting)
         self._ended = ended = Flag()
         self._forget = clock._client._handlers.at_end(lambda _reason: ended.set())
         self._thread = start_thread(self._work, f"j2a clock {clock._url}")
-
-    def _note(self, error: J2AError) -> None:
-        self.failures += 1
-        # Without the traceback, whose frames keep the client alive.
-        self.error = error.copy(str(error), error.outcome)
 
     @property
     def is_running(self) -> bool:
@@ -242,13 +231,6 @@ class ClockKeeper:
     def __exit__(self, *exc_info: object) -> None:
         self.stop()
 
-    def __repr__(self) -> str:
-        what = "disciplines" if self._is_setting else "follows"
-        state = "" if self.is_running else ", ended"
-        return (
-            f"<j2a {what} {self._clock._url}: {self.rounds} rounds, {self.failures} failed{state}>"
-        )
-
     def _wait(self, seconds: float) -> None:
         """Wait for the next round: less, where the clock of this computer was set or slewed."""
         clock = self._clock
@@ -259,25 +241,15 @@ class ClockKeeper:
                 break
 
     def _work(self) -> None:
-        clock = self._clock
-        turn = clock._adjust if self._is_setting else clock._measure
-        steps = clock._host.reference.steps
         while not self._ended.is_set():
             delay_s = self._period_s
             try:
-                clock._run(turn, None)
-                self.rounds += 1
-                delay_s = clock._discipline.delay_s(self._period_s)
-            except LinkError as error:
-                self._note(error)
-                if clock._is_over():
+                self._clock._run(self._round, None)
+                delay_s = self._succeeded()
+            except Exception as error:
+                if self._failed(error):
                     break
-            except J2AError as error:
-                self._note(error)
-            except Exception:
-                self.failures += 1
-                _logger.exception("the clock of %s could not be asked", clock._url)
-            steps = clock._note_step(steps)
+            self._note_step()
             self._wait(delay_s)
         self._ended.set()
 

@@ -21,7 +21,9 @@ from j2a_spec import constants as c
 from j2a.errors import (
     CallTimeout,
     DeviceRestarted,
+    J2AError,
     LinkClosed,
+    LinkError,
     LocalError,
     NoClock,
     Outcome,
@@ -53,7 +55,7 @@ from j2a.types.transducers import TIME_BYTES
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["ClockBase", "ClockReading"]
+__all__ = ["ClockBase", "ClockReading", "KeeperBase"]
 
 _US: Final = 1e6
 _PPB: Final = 1e9
@@ -461,16 +463,55 @@ class ClockBase:
         client = self._client_ref()
         return client is None or not client.is_open
 
-    def _note_step(self, before: int) -> int:
-        """Log that the clock of this computer was set since there were so many steps.
 
-        Returns: how many there are now.
-        """
-        reference = self._host.reference
-        if reference.steps != before:
+class KeeperBase:
+    """What the keepers of both clients have in common; see `j2a.clock.ClockKeeper`."""
+
+    def __init__(self, clock: Any, period_s: float, is_setting: bool) -> None:
+        self.rounds = 0
+        self.failures = 0
+        self.error: J2AError | None = None
+        self._clock = clock
+        self._period_s = period_s
+        self._is_setting = is_setting
+        self._round = clock._adjust if is_setting else clock._measure
+        self._steps = clock._host.reference.steps
+
+    @property
+    def is_running(self) -> bool:
+        """It goes on: it was started, neither was it stopped nor has the link ended."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        what = "disciplines" if self._is_setting else "follows"
+        state = "" if self.is_running else ", ended"
+        return (
+            f"<j2a {what} {self._clock._url}: {self.rounds} rounds, {self.failures} failed{state}>"
+        )
+
+    def _succeeded(self) -> float:
+        """Note that a round was made; return how long to wait for the next one, in seconds."""
+        self.rounds += 1
+        delay_s: float = self._clock._discipline.delay_s(self._period_s)
+        return delay_s
+
+    def _failed(self, error: Exception) -> bool:
+        """Note why a round has failed; return whether the link has ended."""
+        self.failures += 1
+        if not isinstance(error, J2AError):
+            _logger.error("the clock of %s could not be asked", self._clock._url, exc_info=error)
+            return False
+        # Without the traceback, whose frames keep the client alive.
+        self.error = error.copy(str(error), error.outcome)
+        return isinstance(error, LinkError) and self._clock._is_over()
+
+    def _note_step(self) -> None:
+        """Log that the clock of this computer was set since the last look."""
+        reference = self._clock._host.reference
+        if reference.steps != self._steps:
             _logger.warning(
                 "the clock of this computer was set by %+.6f s; %s follows",
                 reference.last_step_us / _US,
-                self._url,
+                self._clock._url,
             )
-        return reference.steps
+        self._steps = reference.steps
