@@ -88,7 +88,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member", AsyncSifStream]):
         except RuntimeError:
             raise LocalError("make a j2a.AsyncFleet in a coroutine: no event loop runs") from None
         self._identify = identify
-        self._calls = AsyncCalls(self._handler_failed, (asyncio.CancelledError,))
+        self._calls = AsyncCalls(self._handler_failed)
         self._changed = asyncio.Event()  # replaced when it is set
         self._tasks: dict[asyncio.Task[None], _Member] = {}
         try:

@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
@@ -369,7 +370,7 @@ class Recorder:
 
     def _start(self, file: WholeFile) -> None:
         """Have the package write, from the end of the file on."""
-        self._writer = _mcap("writer").Writer(file, chunk_size=_CHUNK_BYTES)
+        self._writer = check_package().Writer(file, chunk_size=_CHUNK_BYTES)
         self._has_index = not file.tell()
         if self._has_index:
             self._writer.start(profile="ros2", library="j2a")
@@ -556,24 +557,13 @@ class Recording:
             return None
 
 
-def check_package() -> None:
-    """Load the package mcap, which takes a moment.
+def check_package() -> Any:
+    """Load the package mcap, which takes a moment; return its module that writes.
 
     Raises:
         LocalError: it is not installed.
     """
-    _mcap("writer")
-
-
-def _mcap(module: str) -> Any:
-    """Return a module of the package mcap.
-
-    Raises:
-        LocalError: it is not installed.
-    """
-    from importlib import import_module  # noqa: PLC0415
-
     try:
-        return import_module(f"mcap.{module}")
+        return import_module("mcap.writer")
     except ImportError:
         raise LocalError('recordings need the package mcap: pip install "j2a[record]"') from None

@@ -5,11 +5,15 @@ Rules: a handler ends before the next one begins. Nearly all of them wait for no
 these takes no coroutine.
 """
 
+import asyncio
 import inspect
 from collections.abc import Awaitable, Callable, Iterator
-from typing import Any
+from typing import Any, Final
 
 __all__ = ["AsyncCalls"]
+
+_CAUGHT: Final = Exception, asyncio.CancelledError
+"""A handler may await what is cancelled, which does not cancel its own task."""
 
 
 class AsyncCalls:
@@ -17,20 +21,14 @@ class AsyncCalls:
 
     Args:
         failed: called with what a handler raises, and what it was called with.
-        catches: what else than `Exception` is passed to it.
 
     Attributes:
         are_over: no handler is called any more after the one that runs.
     """
 
-    def __init__(
-        self,
-        failed: Callable[[BaseException, Any], object],
-        catches: tuple[type[BaseException], ...] = (),
-    ) -> None:
+    def __init__(self, failed: Callable[[BaseException, Any], object]) -> None:
         self.are_over = False
         self._failed = failed
-        self._catches: tuple[type[BaseException], ...] = (Exception, *catches)
 
     def call(
         self, handlers: Iterator[Callable[[Any], Any]], event: object
@@ -45,7 +43,7 @@ class AsyncCalls:
         for handler in handlers:
             try:
                 result = handler(event)
-            except self._catches as error:
+            except _CAUGHT as error:
                 self._failed(error, event)
             else:
                 if result is not None and inspect.isawaitable(result):
@@ -63,6 +61,6 @@ class AsyncCalls:
         while waits is not None:
             try:
                 await waits
-            except self._catches as error:
+            except _CAUGHT as error:
                 self._failed(error, event)
             waits = None if self.are_over else self._until_one_waits(handlers, event)

@@ -73,7 +73,6 @@ class Engine(EngineBase[SifStream]):
         self._state = threading.Lock()
         self._closing = threading.RLock()
         self._link = LinkThreads(transport, self._receive, self._judge, self._end)
-        self.check_process = self._link.check_process
         self.dispatcher = start_thread(self._dispatch, f"j2a handlers {transport.url}")
         try:
             self._link.start()
@@ -183,7 +182,7 @@ class Engine(EngineBase[SifStream]):
 
     def close(self) -> None:
         """Deliver the SIFs that have come, then end all calls and the threads."""
-        if self._link.is_inherited:
+        if self._is_inherited:
             return  # the link is the parent's
         if self._is_interrupted():
             self._link.abandon("was closed by this program")

@@ -6,14 +6,13 @@ What flows in: SIFs and restarts of a device. What flows out: streams, and what 
 import contextlib
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
-from j2a.errors import LinkClosed
+from j2a.errors import LinkClosed, LocalError
 from j2a.events import Doubt, Restart, Sif
 from j2a.io.handlers import ErrorHook, Handlers, Reporter, Wanted
 from j2a.io.streams import SifStreamBase, slice_of
-from j2a.io.threads import clock_of
+from j2a.io.threads import clock_of, process
 from j2a.protocol.session import Session
 
 if TYPE_CHECKING:
@@ -41,13 +40,11 @@ class EngineBase(ABC, Generic[_StreamT]):
 
     Attributes:
         now: returns the time of the link, in seconds.
-        check_process: refuses to work in a child process; see `threads.refuse_process`.
         dispatcher: the thread or task of the SIF handlers.
     """
 
     _stream_class: type[_StreamT]
     _link: Any
-    check_process: Callable[[], None]
     dispatcher: Any
 
     def __init__(
@@ -67,11 +64,29 @@ class EngineBase(ABC, Generic[_StreamT]):
         self._restart: Restart | None = None
         self._reporter = Reporter(on_handler_error)
         self._takes_sifs = True
+        self._process = process.pid
         take_stale_input(transport, session)
+
+    @property
+    def _is_inherited(self) -> bool:
+        """This process is a child of that which has the threads, and the link is not its own."""
+        return process.pid != self._process
+
+    def check_process(self) -> None:
+        """Refuse to work in a child process, which has the link but not the threads.
+
+        Raises:
+            LocalError: this is one.
+        """
+        if process.pid != self._process:
+            raise LocalError(
+                f"{self._transport.url} was connected before this process was forked and belongs "
+                "to its parent; connect again in the child"
+            )
 
     def abandon(self) -> bool:
         """End the link without waiting, in a destructor; tell whether it was still there."""
-        if self._link.is_inherited or self._session.is_closed:
+        if self._is_inherited or self._session.is_closed:
             return False
         self._link.abandon("was dropped without close")
         return True

@@ -10,7 +10,6 @@ taken, so a flood stays in the transport.
 
 import asyncio
 import contextlib
-import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.io.opening import WAIT_S, link_error
-from j2a.io.threads import PIECE, LinkThreads, Writer, clock_of, process, refuse_process
+from j2a.io.threads import PIECE, LinkThreads, Writer, clock_of
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -63,18 +62,7 @@ class AsyncLink:
         self._receive = receive
         self._looked = looked
         self._ended = ended
-        self._process = process.pid
         self.threads: list[threading.Thread] = []
-
-    @property
-    def is_inherited(self) -> bool:
-        """This process is a child of that which opened the link, which is not its own."""
-        return process.pid != self._process
-
-    def check_process(self) -> None:
-        """Refuse to work in a child process; see `threads.refuse_process`."""
-        if process.pid != self._process:
-            refuse_process(self._transport.url)
 
 
 class WatchedLink(AsyncLink):
@@ -89,7 +77,6 @@ class WatchedLink(AsyncLink):
         self._fd = self._transport.fileno()
         self._now = clock_of(self._transport)
         self._unread = b""
-        self._looks_until = -math.inf
         self._is_scheduled = False
         self._writer = Writer(self._transport, self._write_failed)
         self._has_stopped = False

@@ -66,7 +66,7 @@ class AsyncEngine(EngineBase[AsyncSifStream]):
         self._sifs: deque[Sif | Restart | None] = deque()  # None is the end
         self._came = asyncio.Event()
         self._delivered: Sif | Restart | None = None  # what the dispatcher calls handlers with
-        self._calls = AsyncCalls(self._handler_failed, (asyncio.CancelledError,))
+        self._calls = AsyncCalls(self._handler_failed)
         # The next time at which time limits are judged; nothing may be late then.
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due = math.inf
@@ -78,7 +78,6 @@ class AsyncEngine(EngineBase[AsyncSifStream]):
         self.dispatcher = self._loop.create_task(self._dispatch())
         try:
             self._link = self._start_link()
-            self.check_process = self._link.check_process
         except LinkError as error:
             self._end(error)
             raise
@@ -156,7 +155,7 @@ class AsyncEngine(EngineBase[AsyncSifStream]):
 
     async def close(self) -> None:
         """Deliver the SIFs that have come, then end all calls and the threads."""
-        if self._link.is_inherited:
+        if self._is_inherited:
             return  # the link is the parent's
         reason = LinkClosed(f"{self._transport.url} was closed by this program")
         if self._loop.is_closed():

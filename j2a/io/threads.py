@@ -19,7 +19,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import Final, NoReturn
+from typing import Final
 
 from j2a_transports import Transport, TransportError
 
@@ -37,7 +37,6 @@ __all__ = [
     "clock_of",
     "join_threads",
     "process",
-    "refuse_process",
     "start_thread",
 ]
 
@@ -185,7 +184,6 @@ class LinkThreads:
         self._bell = Bell()  # of the reading thread
         self._ring = self._bell.ring
         self._unread = b""
-        self._process = process.pid
         self.threads: list[threading.Thread] = []
 
     def start(self) -> None:
@@ -194,16 +192,6 @@ class LinkThreads:
             start_thread(self._read, f"j2a reader {self._transport.url}"),
             self._writer.start(),
         ]
-
-    @property
-    def is_inherited(self) -> bool:
-        """This process is a child of that which has the threads, and the link is not its own."""
-        return process.pid != self._process
-
-    def check_process(self) -> None:
-        """Refuse to work in a child process; see `refuse_process`."""
-        if process.pid != self._process:
-            refuse_process(self._transport.url)
 
     def stop(self) -> None:
         """Let the writing thread run out; the reading one ends when the transport is closed."""
@@ -358,21 +346,6 @@ def clock_of(transport: Transport) -> Callable[[], float]:
     """Return the clock of a transport; directly that of the machine, where it is that one."""
     is_machine = type(transport).clock is Transport.clock
     return time.monotonic if is_machine else transport.clock
-
-
-def refuse_process(url: str) -> NoReturn:
-    """Refuse to work in a child process, which has the link but not the threads.
-
-    Args:
-        url: of the link, for the message.
-
-    Raises:
-        LocalError: always.
-    """
-    raise LocalError(
-        f"{url} was connected before this process was forked and belongs to its parent; "
-        "connect again in the child"
-    )
 
 
 def start_thread(target: Callable[[], None], name: str) -> threading.Thread:

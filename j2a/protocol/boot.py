@@ -11,10 +11,7 @@ from j2a_spec.constants import BOOT_BYTES
 
 from j2a.events import ResetCause, Restart
 
-__all__ = ["MAX_COUNT", "pack_boot", "unpack_boot"]
-
-MAX_COUNT: Final = 0xFFFF
-"""Behind this start comes number 1 (J2A-BOOT-003)."""
+__all__ = ["pack_boot", "unpack_boot"]
 
 _LAYOUT: Final = struct.Struct("<BHL")
 
