@@ -89,7 +89,7 @@ class AsyncTransducers(Transducers[Any]):
     """The transducers of a device by name; calling it loads them where that was not done yet."""
 
     def __init__(self, known: Transducers[Any], client: "weakref.ref[AsyncClient]") -> None:
-        super().__init__(known.__getitem__, list(known), known.why, known.descriptors)
+        super().__init__(known, known.why, known.descriptors)
         self._client = client
 
     async def __call__(self) -> "AsyncTransducers":

@@ -340,7 +340,8 @@ class ClientBase:
             is_sensor = codec is not None and codec.transducer.is_sensor
             return (sensor if is_sensor else actuator)(name, source, client, self._url)
 
-        return Transducers(made, source.names(), why, self._device.descriptors)
+        known = {name: made(name) for name in source.names()}
+        return Transducers(known, why, self._device.descriptors)
 
     @property
     def _knows_transducers(self) -> bool:

@@ -8,7 +8,7 @@ found by its name, so that it stays the same when the device restarts.
 import math
 import struct
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from numbers import Integral, Real
 from typing import Any, Final, TypeVar
 
@@ -31,6 +31,8 @@ from j2a.errors import (
 )
 from j2a.events import Reading, Reply, Sample
 from j2a.io.samples import SampleSource, WantedSamples
+from j2a.protocol.saved_settings import ITEMS as SETTINGS
+from j2a.protocol.saved_settings import KEYS
 from j2a.types.arrays import Batch
 from j2a.types.coding import PayloadMismatchError
 from j2a.types.model import Structure
@@ -53,24 +55,9 @@ _FAILURES: Final = {
     c.RET_FAILED: "the device could not do it",
     c.TRANSD_BUSY: "the settings of another transducer are being saved there",
 }
-_NEEDS: Final = {
-    c.TRANSD_DECIMATION: "decimation",
-    c.TRANSD_THRESHOLD: "threshold",
-    c.TRANSD_TOPIC: "topic",
-    c.TRANSD_WATCHDOG: "watchdog",
-    c.TRANSD_TRIGGER: "trigger",
-}
 SAVE_S: Final = 20.0
 SAVE_POLL_S: Final = 0.02
 SAVE: Final = bytes((c.TRANSD_SAVED,))
-SETTINGS: Final = {
-    "enabled": c.TRANSD_ENABLED,
-    "period": c.TRANSD_PERIOD,
-    "decimation": c.TRANSD_DECIMATION,
-    "threshold": c.TRANSD_THRESHOLD,
-    "topic": c.TRANSD_TOPIC,
-    "watchdog": c.TRANSD_WATCHDOG,
-}
 
 
 class RemoteTransducer:
@@ -155,7 +142,7 @@ class RemoteTransducer:
         Raises:
             WrongArgument: the transducer does not have it.
         """
-        key = _NEEDS.get(item)
+        key = KEYS.get(item)
         if key is not None and not self.descriptor.has(key):
             raise WrongArgument(f"{self.name} has no {key}: its descriptor does not name the key")
         return bytes([self.descriptor.id, item]) + value
@@ -163,7 +150,7 @@ class RemoteTransducer:
     def _items(self) -> list[int]:
         """Return the settings that it has."""
         common = (c.TRANSD_ENABLED, c.TRANSD_PERIOD) if self.descriptor.is_sensor else ()
-        keys = [item for item in SETTINGS.values() if self.descriptor.has(_NEEDS.get(item, ""))]
+        keys = [item for item in SETTINGS.values() if self.descriptor.has(KEYS.get(item, ""))]
         return [*common, *keys]
 
     def _settings_it_has(self) -> str:
@@ -399,29 +386,28 @@ class Transducers(Mapping[str, _TransducerT]):
 
     def __init__(
         self,
-        made: Callable[[str], _TransducerT],
-        names: list[str],
+        known: Mapping[str, _TransducerT],
         why: str,
         descriptors: Descriptors | None,
     ) -> None:
         self.descriptors = descriptors
-        self._made: dict[str, _TransducerT] = {name: made(name) for name in names}
+        self._known = known
         self.why = why
 
     def __getitem__(self, name: str) -> _TransducerT:
-        found = self._made.get(name)
+        found = self._known.get(name)
         if found is not None:
             return found
-        if not self._made:
+        if not self._known:
             raise UnknownTransducer(f"there is no transducer {name!r}: {self.why}")
-        hint = nearest_or_all(str(name), self._made, most=3, cutoff=0.5)
+        hint = nearest_or_all(str(name), self._known, most=3, cutoff=0.5)
         raise UnknownTransducer(f"the device has no transducer {name!r}; {hint}")
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._made)
+        return iter(self._known)
 
     def __len__(self) -> int:
-        return len(self._made)
+        return len(self._known)
 
     def __repr__(self) -> str:
-        return f"<j2a transducers: {', '.join(self._made) or 'none'}>"
+        return f"<j2a transducers: {', '.join(self._known) or 'none'}>"

@@ -483,21 +483,21 @@ class DeviceInfo:
         """Write data to a function; see `write_chunks`, and `resolve` for `names`."""
         self.check_version()
         what, opcode = self.resolve(function, names)
-        return self._write(what, opcode, _check_transfer(data), progress)
+        content = _check_transfer(data)
+        chunk_size = yield from preparing(what, self._prepare_write(what, opcode, content))
+        return (
+            yield from write_chunks(what, opcode, content, chunk_size=chunk_size, progress=progress)
+        )
 
     def echo(self, data: object, progress: Progress | None, window: int = 1) -> Transfer[bytes]:
         """Send data through a2jEchoMany; see `echo_chunks`. Old devices do this right."""
         self.check_version()
         what, opcode = self.resolve(GET_ECHO_MANY)
-        return self._echo(what, opcode, _check_transfer(data), window, progress)
-
-    def _echo(
-        self, what: str, opcode: int, data: bytes, window: int, progress: Progress | None
-    ) -> Transfer[bytes]:
-        chunk_size = yield from preparing(what, self._chunk_size(data))
+        content = _check_transfer(data)
+        chunk_size = yield from preparing(what, self._chunk_size(content))
         return (
             yield from echo_chunks(
-                what, opcode, data, chunk_size=chunk_size, window=window, progress=progress
+                what, opcode, content, chunk_size=chunk_size, window=window, progress=progress
             )
         )
 
@@ -524,14 +524,6 @@ class DeviceInfo:
         return self.room - MANY_HEADER
 
     # ------------------------------------------------------------------ old devices
-
-    def _write(
-        self, what: str, opcode: int, data: bytes, progress: Progress | None
-    ) -> Transfer[int]:
-        chunk_size = yield from preparing(what, self._prepare_write(what, opcode, data))
-        return (
-            yield from write_chunks(what, opcode, data, chunk_size=chunk_size, progress=progress)
-        )
 
     def _prepare_write(self, what: str, opcode: int, data: bytes) -> Transfer[int]:
         chunk_size = yield from self._chunk_size(data)

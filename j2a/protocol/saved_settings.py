@@ -10,7 +10,7 @@ from typing import Final
 
 from j2a_spec import constants as c
 
-__all__ = ["ITEMS", "SavedSettings", "dump", "load"]
+__all__ = ["ITEMS", "KEYS", "SavedSettings", "dump", "load"]
 
 ITEMS: Final[Mapping[str, int]] = {
     "enabled": c.TRANSD_ENABLED,
@@ -20,7 +20,16 @@ ITEMS: Final[Mapping[str, int]] = {
     "topic": c.TRANSD_TOPIC,
     "watchdog": c.TRANSD_WATCHDOG,
 }
-"""The items that SAVE keeps."""
+"""The settings, which are the items that SAVE keeps."""
+
+KEYS: Final[Mapping[int, str]] = {
+    c.TRANSD_DECIMATION: "decimation",
+    c.TRANSD_THRESHOLD: "threshold",
+    c.TRANSD_TOPIC: "topic",
+    c.TRANSD_WATCHDOG: "watchdog",
+    c.TRANSD_TRIGGER: "trigger",
+}
+"""Items that only a transducer with this key in its descriptor has."""
 
 SavedSettings = dict[str, dict[int, bytes]]
 

@@ -40,13 +40,6 @@ _BYTES: Final[Mapping[int, int]] = {
     c.TRANSD_WATCHDOG: 2,
     c.TRANSD_TRIGGER: TIME_BYTES,
 }
-_BY_KEY: Final[Mapping[int, str]] = {
-    c.TRANSD_DECIMATION: "decimation",
-    c.TRANSD_THRESHOLD: "threshold",
-    c.TRANSD_TOPIC: "topic",
-    c.TRANSD_WATCHDOG: "watchdog",
-    c.TRANSD_TRIGGER: "trigger",
-}
 _WRITE_ONLY: Final = (c.TRANSD_SET, c.TRANSD_TRIGGER)
 _READ_ONLY: Final = (c.TRANSD_SAMPLE, c.TRANSD_TIME)
 _OF_SENSORS: Final = (
@@ -533,7 +526,7 @@ def _has_item(one: Transducer, item: int, is_write: bool) -> bool:
         return not one.queue
     if item in (_OF_ACTUATORS if one.is_sensor else _OF_SENSORS):
         return False
-    key = _BY_KEY.get(item)
+    key = saved_settings.KEYS.get(item)
     return key is None or one.has(key)
 
 

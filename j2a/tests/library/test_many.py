@@ -189,7 +189,7 @@ class TestTheEndOfTheOffsets:
         drive(demo._execute, peer.write("store", content(1000), None))
         for do in (peer.write, lambda _name, *rest: peer.echo(*rest)):
             with pytest.raises(j2a.LocalError, match="1000 bytes at most"):
-                do("store", content(1001), None)
+                next(do("store", content(1001), None))
 
 
 class TestWhatADeviceMayNotAnswer:
@@ -544,9 +544,9 @@ class TestPeer:
     @pytest.mark.parametrize("data", ["text", 5, None, [1]])
     def test_data_that_is_no_bytes(self, peer, data):
         with pytest.raises(j2a.LocalError):
-            peer.write("store", data, None)
+            next(peer.write("store", data, None))
         with pytest.raises(j2a.LocalError):
-            peer.echo(data, None)
+            next(peer.echo(data, None))
 
 
 class TestWindow:
