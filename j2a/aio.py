@@ -10,7 +10,7 @@ import contextlib
 import weakref
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 
 from j2a_spec.constants import GET_ECHO, TRANSD
 
@@ -19,11 +19,10 @@ from j2a.events import Doubt, Reply, Restart, Sif
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.client_base import ClientBase, check_echo, checked
-from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
-from j2a.io.loop import AsyncEngine, AsyncHandler, AsyncRestartHandler
+from j2a.io.handlers import ErrorHook, Handlers, Opcodes, RestartHandler
+from j2a.io.loop import AsyncEngine
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
-from j2a.io.streams import MAX_SIFS
 from j2a.io.transducers import Transducers
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
@@ -40,13 +39,11 @@ __all__ = [
     "AsyncActuator",
     "AsyncClient",
     "AsyncFunction",
-    "AsyncHandler",
     "AsyncSensor",
     "AsyncSifStream",
     "aconnect",
 ]
 
-_HandlerF = TypeVar("_HandlerF", bound=AsyncHandler)
 _Result = TypeVar("_Result")
 
 
@@ -101,7 +98,7 @@ class AsyncTransducers(Transducers[Any]):
         return client.transducers
 
 
-class AsyncClient(ClientBase):
+class AsyncClient(ClientBase[AsyncSifStream]):
     """The host's end of a link for asyncio; use `await j2a.aconnect(url)` to get one.
 
     All methods belong to the event loop in which the client was made. A client is an asynchronous
@@ -212,20 +209,7 @@ class AsyncClient(ClientBase):
         max_bytes: int = DEFAULT_MAX_BYTES,
         progress: Progress | None = None,
     ) -> bytes:
-        """Read all that a function for a2jMany has (J2A-MANY-011, J2A-MANY-012, J2A-MANY-014).
-
-        Args:
-            function: its name or opcode.
-            timeout: the time limit of each chunk, in seconds.
-            total_timeout: the time limit of all of it, in seconds, with the function map and the
-                properties where they have to be read before; None has no limit (J2A-TIME-008).
-            max_bytes: the most to accept.
-            progress: called after each chunk with the bytes read and None, at the end with the
-                bytes read twice.
-
-        Raises: as `call`; FunctionFailed; ProtocolError when the chunks do not fit together;
-            LegacyLimit when a device of version 1.0 cannot do it.
-        """
+        """Read all that a function for a2jMany has; `j2a.Client.read_many` for asyncio."""
         limits = self._limits(timeout, total_timeout, self.now())
         return await self._drive(self._read_many(function, max_bytes, progress), limits)
 
@@ -238,20 +222,7 @@ class AsyncClient(ClientBase):
         total_timeout: float | None = None,
         progress: Progress | None = None,
     ) -> int:
-        """Write data of any size to a function for a2jMany (J2A-MANY-012, J2A-MANY-013).
-
-        Args:
-            function: its name or opcode.
-            data: up to 2**32-1 bytes.
-            timeout: the time limit of each chunk, in seconds.
-            total_timeout: the time limit of all of it, in seconds, with the function map and the
-                properties where they have to be read before; None has no limit (J2A-TIME-008).
-            progress: called after each chunk with the bytes done and the bytes in all.
-
-        Returns: the return value of the function for the last chunk.
-
-        Raises: as `read_many`.
-        """
+        """Write data to a function for a2jMany; `j2a.Client.write_many` for asyncio."""
         limits = self._limits(timeout, total_timeout, self.now())
         return await self._drive(self._write_many(function, data, progress), limits)
 
@@ -263,10 +234,7 @@ class AsyncClient(ClientBase):
         total_timeout: float | None = None,
         progress: Progress | None = None,
     ) -> bytes:
-        """Send data of any size through a2jEchoMany and return the same (J2A-ECHO-002).
-
-        Args and raises: as `write_many`; ProtocolError when it is not the same.
-        """
+        """Send data through a2jEchoMany; `j2a.Client.echo_many` for asyncio."""
         limits = self._limits(timeout, total_timeout, self.now())
         return await self._drive(self._echo_many(data, progress), limits)
 
@@ -348,42 +316,11 @@ class AsyncClient(ClientBase):
 
     # ------------------------------------------------------------------ SIFs
 
-    @overload
-    def on_sif(
-        self, opcodes: Opcodes | str, handler: AsyncHandler
-    ) -> Subscription[AsyncHandler]: ...
-    @overload
-    def on_sif(self, opcodes: Opcodes | str = None) -> Callable[[_HandlerF], _HandlerF]: ...
-    def on_sif(self, opcodes: Opcodes | str = None, handler: AsyncHandler | None = None) -> object:
-        """Register a handler for server-initiated frames; without `handler` a decorator.
-
-        Handlers run one after the other, in the order in which the SIFs came and the handlers were
-        registered (J2A-SIF-003, J2A-SIF-007); one that is a coroutine function is awaited before
-        the next. They may use the client. An ordinary function holds up the event loop.
-
-        Args, returns and raises: as `j2a.Client.on_sif`.
-        """
-        self._engine.check_process()
-        return self._handlers.register(self._wanted_sifs(opcodes), handler)
-
-    def sifs(self, opcodes: Opcodes | str = None, *, max_waiting: int = MAX_SIFS) -> AsyncSifStream:
-        """Return the SIFs that come from now on, for `async for`; `j2a.Client.sifs` for asyncio."""
-        return self._engine.stream(self._wanted_sifs(opcodes), max_waiting)
-
     async def wait_sif(self, opcodes: Opcodes | str = None, timeout: float | None = None) -> Sif:
         """Return the next SIF that comes; `j2a.Client.wait_sif` for asyncio."""
         limit_s = self._limit_s(timeout)
         async with self.sifs(opcodes) as stream:
             return await stream.wait(limit_s)
-
-    @overload
-    def on_restart(self, handler: AsyncRestartHandler) -> Subscription[AsyncRestartHandler]: ...
-    @overload
-    def on_restart(self) -> Callable[[AsyncRestartHandler], AsyncRestartHandler]: ...
-    def on_restart(self, handler: AsyncRestartHandler | None = None) -> object:
-        """Register a handler for restarts of the device; `j2a.Client.on_restart` for asyncio."""
-        self._engine.check_process()
-        return self._restart_handlers.register(None, handler)
 
     # ------------------------------------------------------------------ end
 
@@ -404,7 +341,7 @@ class AsyncClient(ClientBase):
 
     # ------------------------------------------------------------------ machinery
 
-    async def _restarted(self, restart: Restart) -> tuple[Restart, Handlers[AsyncRestartHandler]]:
+    async def _restarted(self, restart: Restart) -> tuple[Restart, Handlers[RestartHandler]]:
         """Learn anew what a device has that has restarted."""
         try:
             restart = await self._drive(self._relearn(restart), self._device_limits(self.now()))

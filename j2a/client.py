@@ -8,19 +8,19 @@ Rules: arguments are checked before anything is sent; waiting and bytes are the 
 import weakref
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 
 from j2a_spec.constants import GET_ECHO, TRANSD
 
 from j2a.errors import J2AError, UnknownTransducer
 from j2a.events import Doubt, Reply, Restart, Sif
-from j2a.io.blocking import Engine, Handler, RestartHandler
+from j2a.io.blocking import Engine
 from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.client_base import ClientBase, check_echo, checked
-from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
+from j2a.io.handlers import ErrorHook, Handler, Handlers, Opcodes, RestartHandler
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
-from j2a.io.streams import MAX_SIFS, SifStream
+from j2a.io.streams import SifStream
 from j2a.io.transducers import Transducers
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Client", "Function", "Handler", "connect"]
 
-_HandlerF = TypeVar("_HandlerF", bound=Handler)
 _Result = TypeVar("_Result")
 
 
@@ -55,7 +54,7 @@ class Function(RemoteFunction):
         return self._unpack(self._caller()._call_typed(self, self._pack(values, named)))
 
 
-class Client(ClientBase):
+class Client(ClientBase[SifStream]):
     """The host's end of a link; use `j2a.connect` to get one.
 
     All methods may be called from any thread, and from inside SIF handlers. A client is a context
@@ -365,49 +364,6 @@ class Client(ClientBase):
 
     # ------------------------------------------------------------------ SIFs
 
-    @overload
-    def on_sif(self, opcodes: Opcodes | str, handler: Handler) -> Subscription[Handler]: ...
-    @overload
-    def on_sif(self, opcodes: Opcodes | str = None) -> Callable[[_HandlerF], _HandlerF]: ...
-    def on_sif(self, opcodes: Opcodes | str = None, handler: Handler | None = None) -> object:
-        """Register a handler for server-initiated frames; without `handler` a decorator.
-
-        Handlers run in one thread of the client, in the order in which the SIFs came and the
-        handlers were registered (J2A-SIF-003, J2A-SIF-007); they may use the client.
-
-        Args:
-            opcodes: one opcode 0..255, several, None for all, or the name of a SIF that the device
-                describes; `Sif.values` is then what the payload holds.
-            handler: called with each `Sif`.
-
-        Returns: an object whose `cancel()` ends it.
-
-        Raises:
-            LocalError: an argument is wrong, or the device describes no SIF of that name.
-        """
-        self._engine.check_process()
-        return self._handlers.register(self._wanted_sifs(opcodes), handler)
-
-    def sifs(self, opcodes: Opcodes | str = None, *, max_waiting: int = MAX_SIFS) -> SifStream:
-        """Return the SIFs that come from now on, to iterate over.
-
-        Example::
-
-            for sif in board.sifs("counter"):
-                print(sif.values.count)
-
-        The iteration ends when the client is closed, and raises LinkError when the link is lost.
-        `wait(timeout)` returns the next SIF; `close()`, or the end of a `with` block, ends it.
-
-        Args:
-            opcodes: as for `on_sif`.
-            max_waiting: so many SIFs may wait; then the oldest are dropped, and counted in `lost`.
-
-        Raises:
-            LocalError: an argument is wrong, or the device describes no SIF of that name.
-        """
-        return self._engine.stream(self._wanted_sifs(opcodes), max_waiting)
-
     def wait_sif(self, opcodes: Opcodes | str = None, timeout: float | None = None) -> Sif:
         """Return the next SIF that comes.
 
@@ -425,23 +381,6 @@ class Client(ClientBase):
         limit_s = self._limit_s(timeout)
         with self.sifs(opcodes) as stream:
             return stream.wait(limit_s)
-
-    @overload
-    def on_restart(self, handler: RestartHandler) -> Subscription[RestartHandler]: ...
-    @overload
-    def on_restart(self) -> Callable[[RestartHandler], RestartHandler]: ...
-    def on_restart(self, handler: RestartHandler | None = None) -> object:
-        """Register a handler for restarts of the device; without `handler` a decorator.
-
-        It is called with a `Restart`, in the thread of the SIF handlers, when the device has said
-        that it began anew, or was found to have other functions than before. By then its functions
-        were learnt anew. Calls that were waiting have raised `DeviceRestarted`; SIF handlers stay,
-        those by name for the SIF that has this name now (J2A-BOOT-004, J2A-BOOT-005).
-
-        Returns: an object whose `cancel()` ends it.
-        """
-        self._engine.check_process()
-        return self._restart_handlers.register(None, handler)
 
     # ------------------------------------------------------------------ end
 

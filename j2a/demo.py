@@ -9,18 +9,17 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from pathlib import Path
-from typing import Annotated, Final, NamedTuple
+from functools import partial
+from typing import Annotated, Any, Final, NamedTuple
 
-from j2a_spec.constants import MAX_PAYLOAD, RET_FAILED
+from j2a_spec.constants import RET_FAILED
 
 from j2a.device import Device
 from j2a.errors import Fail
 from j2a.io.bell import Flag
 from j2a.io.functions import ManyReply, ManyRequest, Result, read_chunk
-from j2a.protocol.trace import Trace
+from j2a.io.threads import start_thread
 from j2a.types.annotations import Length, f32, i8, i16, i32, i64, u8, u16, u32, u64
-from j2a.types.transducers import Descriptors
 
 __all__ = ["SIF_PERIODIC", "STORE_BYTES", "DemoDevice"]
 
@@ -84,33 +83,17 @@ class DemoDevice(Device):
 
     Args:
         properties: in addition to, or instead of, the demo's own.
-        interface, boot, transducers, settings, clock, room, trace: see `Device`.
+        options: others of `Device`, such as `clock` and `room`.
     """
 
     def __init__(
         self,
         properties: Mapping[str, str] | None = None,
-        *,
-        interface: bool = True,
-        boot: bool = False,
-        transducers: str | Path | Descriptors | None = None,
-        settings: str | Path | None = None,
-        clock: float | None = None,
-        room: int = MAX_PAYLOAD,
-        trace: Trace | None = None,
+        **options: Any,
     ) -> None:
         own = {"name": "J2A demo", "serial": "0001", "port": "python"}
         properties = {**own, **(properties or {})}
-        super().__init__(
-            properties,
-            interface=interface,
-            boot=boot,
-            transducers=transducers,
-            settings=settings,
-            clock=clock,
-            room=room,
-            trace=trace,
-        )
+        super().__init__(properties, **options)
         self._start_us = time.monotonic_ns() // 1000
         self._content = bytearray()
         self._ticker = _Ticker(self)
@@ -230,9 +213,7 @@ class _Ticker:
         with self._sending:
             self._stop = Flag()
         if period_s > 0:
-            threading.Thread(
-                target=self._run, args=(period_s, self._stop), name="j2a demo SIFs", daemon=True
-            ).start()
+            start_thread(partial(self._run, period_s, self._stop), "j2a demo SIFs")
 
     def _run(self, period_s: float, stop: Flag) -> None:
         counter = 0

@@ -39,7 +39,7 @@ from j2a.io.connection import Connection
 from j2a.io.functions import DebugText
 from j2a.io.opening import TRANSPORT_ERRORS, WAIT_S, link_error
 from j2a.io.registration import FunctionRegistry
-from j2a.io.threads import process
+from j2a.io.threads import process, start_thread
 from j2a.io.transds_file import load_transds
 from j2a.io.transducer_runner import TransducerRunner
 from j2a.protocol.arguments import check_opcode, check_payload
@@ -464,11 +464,9 @@ class Device(FunctionRegistry):
         except OpenFailed as error:  # the system has no thread for the transducers
             _logger.warning("refused %s: %s", transport.url, error)
             return
-        name = f"j2a device {transport.url}"
-        thread = threading.Thread(target=self._run, args=(connection,), name=name, daemon=True)
         try:
-            thread.start()
-        except RuntimeError as error:  # the system has no thread to give
+            start_thread(partial(self._run, connection), f"j2a device {transport.url}")
+        except OpenFailed as error:
             _logger.warning("refused %s: %s", transport.url, error)
             self._leave(connection)
 

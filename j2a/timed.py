@@ -8,10 +8,11 @@ J2A-TRANS-018).
 """
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 from j2a_spec import constants as c
 
@@ -24,6 +25,7 @@ __all__ = ["AsyncFleetAt", "FleetAt"]
 
 _EXCHANGES: Final = 4
 """A clock that is not known well is asked so often; one exchange may be slow."""
+_ResultT = TypeVar("_ResultT")
 _Pack = Callable[[SampleCodec, int], bytes]
 """Makes what is told to one transducer, for a time on the clock of its board."""
 
@@ -54,7 +56,7 @@ def _made(check: Callable[[], None], transducer: Any, item: int, pack: _Pack, at
     return request
 
 
-class _At:
+class _At(ABC, Generic[_ResultT]):
     """What both kinds have in common.
 
     Args:
@@ -156,10 +158,6 @@ class _At:
             )
         return {order.board: order.at_us for order in orders}
 
-
-class FleetAt(_At):
-    """Orders for a time; from `Fleet.at`."""
-
     def set(
         self,
         name: str,
@@ -167,7 +165,7 @@ class FleetAt(_At):
         channel: int = 0,
         raw: bool = False,
         boards: Iterable[str] | None = None,
-    ) -> dict[str, int]:
+    ) -> _ResultT:
         """Set an actuator of several boards at the same instant.
 
         Args:
@@ -189,12 +187,20 @@ class FleetAt(_At):
         """
         return self._send(name, boards, c.TRANSD_SET, _packed(values, channel, raw))
 
-    def trigger(self, name: str, *, boards: Iterable[str] | None = None) -> dict[str, int]:
+    def trigger(self, name: str, *, boards: Iterable[str] | None = None) -> _ResultT:
         """Have a sensor of several boards measure once at the same instant.
 
         Args, returns, raises: as `set`; WrongArgument for a sensor that has no key trigger.
         """
         return self._send(name, boards, c.TRANSD_TRIGGER, lambda _codec, at_us: pack_time(at_us))
+
+    @abstractmethod
+    def _send(self, name: str, boards: Iterable[str] | None, item: int, pack: _Pack) -> _ResultT:
+        """Give orders to boards, and return when each acts."""
+
+
+class FleetAt(_At[dict[str, int]]):
+    """Orders for a time; from `Fleet.at`."""
 
     def _send(
         self, name: str, boards: Iterable[str] | None, item: int, pack: _Pack
@@ -217,25 +223,8 @@ class FleetAt(_At):
         return self._result(orders, next(iter(chosen.values())).clock)
 
 
-class AsyncFleetAt(_At):
-    """Orders for a time; from `AsyncFleet.at`."""
-
-    async def set(
-        self,
-        name: str,
-        *values: Any,
-        channel: int = 0,
-        raw: bool = False,
-        boards: Iterable[str] | None = None,
-    ) -> dict[str, int]:
-        """Set an actuator of several boards at the same instant; `FleetAt.set` for asyncio."""
-        return await self._send(name, boards, c.TRANSD_SET, _packed(values, channel, raw))
-
-    async def trigger(self, name: str, *, boards: Iterable[str] | None = None) -> dict[str, int]:
-        """Have a sensor of several boards measure once; `FleetAt.trigger` for asyncio."""
-        return await self._send(
-            name, boards, c.TRANSD_TRIGGER, lambda _codec, at_us: pack_time(at_us)
-        )
+class AsyncFleetAt(_At[Coroutine[Any, Any, dict[str, int]]]):
+    """Orders for a time, to be awaited; from `AsyncFleet.at`."""
 
     async def _send(
         self, name: str, boards: Iterable[str] | None, item: int, pack: _Pack

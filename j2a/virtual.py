@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from j2a.device import Device
 from j2a.io.bell import Flag
+from j2a.io.threads import start_thread
 from j2a.io.transds_file import load_transds
 from j2a.protocol.trace import Trace
 from j2a.types.model import Enumeration, Structure, Type, integer_range
@@ -62,8 +63,7 @@ class VirtualBoard(Device):
     def measure(self) -> None:
         """Begin to measure; `stop` ends it. May be called twice."""
         if self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="j2a waves", daemon=True)
-            self._thread.start()
+            self._thread = start_thread(self._work, "j2a waves")
 
     def stop(self) -> None:
         """End as `Device.stop`, and measure no more."""

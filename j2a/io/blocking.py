@@ -22,7 +22,7 @@ from j2a_transports import TransportError
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Restart, Sif
 from j2a.io.engine_base import MAX_SIFS_WAITING, EngineBase
-from j2a.io.handlers import ErrorHook, Handlers
+from j2a.io.handlers import ErrorHook, Handler, Handlers, RestartHandler
 from j2a.io.opening import WAIT_S
 from j2a.io.streams import SifStream
 from j2a.io.threads import JOIN_S, LEAD_S, LinkThreads, join_threads, start_thread
@@ -31,13 +31,7 @@ from j2a.protocol.session import Call, Event, Session
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["Engine", "Handler", "RestartHandler"]
-
-Handler = Callable[[Sif], object]
-"""Called with each SIF that it is registered for, in a thread of the client."""
-
-RestartHandler = Callable[[Restart], object]
-"""Called when the device has restarted, in the same thread."""
+__all__ = ["Engine"]
 
 _Restarted = Callable[[Restart], tuple[Restart, Handlers[RestartHandler]]]
 

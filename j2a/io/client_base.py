@@ -14,7 +14,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, overload
 
 from j2a_spec.constants import (
     CAP_BOOT,
@@ -43,9 +43,18 @@ from j2a.errors import (
     remote_error,
 )
 from j2a.events import Counters, Doubt, Reply, Restart
-from j2a.io.handlers import Handlers, NamedSif, Opcodes, is_told
+from j2a.io.handlers import (
+    Handler,
+    Handlers,
+    NamedSif,
+    Opcodes,
+    RestartHandler,
+    Subscription,
+    is_told,
+)
 from j2a.io.remote import Origin, RemoteFunction
 from j2a.io.samples import SampleSource
+from j2a.io.streams import MAX_SIFS, SifStreamBase
 from j2a.io.transducers import RemoteTransducer, Transducers
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.device_info import DeviceInfo, Names, is_map
@@ -70,6 +79,9 @@ MAX_DEBUG_READS: Final = 256
 """A device that writes debug text faster than it is read does not keep its reader for ever."""
 
 _logger = logging.getLogger("j2a")
+_HandlerF = TypeVar("_HandlerF", bound=Handler)
+_RestartHandlerF = TypeVar("_RestartHandlerF", bound=RestartHandler)
+_StreamT = TypeVar("_StreamT", bound=SifStreamBase)
 _FunctionT = TypeVar("_FunctionT", bound=RemoteFunction)
 _TransducerT = TypeVar("_TransducerT", bound=RemoteTransducer)
 _MAP_ASKS: Final = 4
@@ -78,10 +90,10 @@ _ASKS: Final = 4
 _FIRST_LIMIT_S: Final = 0.25
 
 
-class ClientBase:
+class ClientBase(Generic[_StreamT]):
     """State and options that both clients have; each adds its own way of waiting."""
 
-    _engine: "EngineBase[Any]"
+    _engine: "EngineBase[_StreamT]"
     # Made when somebody first asks for it.
     _clock: "ClockBase | None" = None
 
@@ -212,7 +224,79 @@ class ClientBase:
             if definition.name in classes:
                 device.types.use(definition, classes[definition.name])
 
+    # ------------------------------------------------------------------ SIFs
+
+    @overload
+    def on_sif(self, opcodes: Opcodes | str, handler: Handler) -> Subscription[Handler]: ...
+    @overload
+    def on_sif(self, opcodes: Opcodes | str = None) -> Callable[[_HandlerF], _HandlerF]: ...
+    def on_sif(self, opcodes: Opcodes | str = None, handler: Handler | None = None) -> object:
+        """Register a handler for server-initiated frames; without `handler` a decorator.
+
+        Handlers run one after the other, in the order in which the SIFs came and the handlers were
+        registered (J2A-SIF-003, J2A-SIF-007); they may use the client. Those of a `Client` run in
+        one thread of it, those of an `AsyncClient` in the event loop: one that is a coroutine
+        function is awaited before the next, an ordinary function holds up the loop.
+
+        Args:
+            opcodes: one opcode 0..255, several, None for all, or the name of a SIF that the device
+                describes; `Sif.values` is then what the payload holds.
+            handler: called with each `Sif`.
+
+        Returns: an object whose `cancel()` ends it.
+
+        Raises:
+            LocalError: an argument is wrong, or the device describes no SIF of that name.
+        """
+        self._engine.check_process()
+        return self._handlers.register(self._wanted_sifs(opcodes), handler)
+
+    def sifs(self, opcodes: Opcodes | str = None, *, max_waiting: int = MAX_SIFS) -> _StreamT:
+        """Return the SIFs that come from now on, to iterate over.
+
+        Example, with `async for` where the client is an `AsyncClient`::
+
+            for sif in board.sifs("counter"):
+                print(sif.values.count)
+
+        The iteration ends when the client is closed, and raises LinkError when the link is lost.
+        `wait(timeout)` returns the next SIF; `close()`, or the end of a `with` block, ends it.
+
+        Args:
+            opcodes: as for `on_sif`.
+            max_waiting: so many SIFs may wait; then the oldest are dropped, and counted in `lost`.
+
+        Raises:
+            LocalError: an argument is wrong, or the device describes no SIF of that name.
+        """
+        return self._engine.stream(self._wanted_sifs(opcodes), max_waiting)
+
+    def _wanted_sifs(self, opcodes: Opcodes | str) -> Opcodes | NamedSif:
+        """Return which SIFs a handler is for.
+
+        Raises:
+            LocalError: the device describes none of that name.
+        """
+        return NamedSif(self._device, opcodes) if isinstance(opcodes, str) else opcodes
+
     # ------------------------------------------------------------------ restarts
+
+    @overload
+    def on_restart(self, handler: RestartHandler) -> Subscription[RestartHandler]: ...
+    @overload
+    def on_restart(self) -> Callable[[_RestartHandlerF], _RestartHandlerF]: ...
+    def on_restart(self, handler: RestartHandler | None = None) -> object:
+        """Register a handler for restarts of the device; without `handler` a decorator.
+
+        It is called with a `Restart`, as SIF handlers are, when the device has said that it began
+        anew, or was found to have other functions than before. By then its functions were learnt
+        anew. Calls that were waiting have raised `DeviceRestarted`; SIF handlers stay, those by
+        name for the SIF that has this name now (J2A-BOOT-004, J2A-BOOT-005).
+
+        Returns: an object whose `cancel()` ends it.
+        """
+        self._engine.check_process()
+        return self._restart_handlers.register(None, handler)
 
     @property
     def _is_stale(self) -> bool:
@@ -311,14 +395,6 @@ class ClientBase:
                 )
         assert opcode is not None
         function.opcode, function.epoch = opcode, self._learnt
-
-    def _wanted_sifs(self, opcodes: Opcodes | str) -> Opcodes | NamedSif:
-        """Return which SIFs a handler is for.
-
-        Raises:
-            LocalError: the device describes none of that name.
-        """
-        return NamedSif(self._device, opcodes) if isinstance(opcodes, str) else opcodes
 
     def _typed_limit_s(self, function: RemoteFunction) -> float:
         """Return the time limit of a call, in seconds."""
@@ -706,17 +782,17 @@ def check_echo(reply: Reply, payload: bytes) -> bytes:
     return reply.payload
 
 
-def _now_of(client: "weakref.ref[ClientBase]") -> float:
+def _now_of(client: "weakref.ref[ClientBase[Any]]") -> float:
     owner = client()
     return 0.0 if owner is None else owner.now()
 
 
-def _host_us(client: "weakref.ref[ClientBase]", time_us: int) -> int | None:
+def _host_us(client: "weakref.ref[ClientBase[Any]]", time_us: int) -> int | None:
     owner = client()
     clock = None if owner is None else owner._clock
     return None if clock is None else clock.host_time_of_sample(time_us)
 
 
-def _described(client: "weakref.ref[ClientBase]") -> int:
+def _described(client: "weakref.ref[ClientBase[Any]]") -> int:
     owner = client()
     return -1 if owner is None else owner._described

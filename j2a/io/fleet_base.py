@@ -40,12 +40,12 @@ from j2a.protocol.roster import BoardChange, Member, Roster
 __all__ = ["FleetBase", "by_url"]
 
 _logger = logging.getLogger("j2a")
-_ClientT = TypeVar("_ClientT", bound=ClientBase)
+_ClientT = TypeVar("_ClientT", bound=ClientBase[Any])
 _MemberT = TypeVar("_MemberT", bound=Member[Any])
 _StreamT = TypeVar("_StreamT", bound=SifStreamBase)
 
 
-def by_url(client: ClientBase) -> str:
+def by_url(client: ClientBase[Any]) -> str:
     """Return the URL of a board, which on the USB has its serial number or the path of ports."""
     return client.url
 

@@ -205,18 +205,13 @@ class FunctionTable:
         check_function(line.name, function)
         self._calls[self._add(line, types)] = function
 
-    def add_many(
-        self,
-        line: str | Described,
-        function: ManyFunction,
-        types: Sequence[Enumeration | Structure] = (),
-    ) -> None:
+    def add_many(self, line: str | Described, function: ManyFunction) -> None:
         """Append a function that is called through a2jMany."""
         line = Described(line, is_many=True) if isinstance(line, str) else line
         check_function(line.name, function)
-        self._manys[self._add(line, types)] = function
+        self._manys[self._add(line)] = function
 
-    def add_sif(self, sif: SifShape, types: Sequence[Enumeration | Structure] = ()) -> None:
+    def add_sif(self, sif: SifShape, types: Sequence[Enumeration | Structure]) -> None:
         """Describe a SIF."""
         self._check(Interface(tuple(types), (*self.sifs.values(), sif)))
         self.types = types
@@ -231,7 +226,7 @@ class FunctionTable:
             ),
         )
 
-    def _add(self, line: Described, types: Sequence[Enumeration | Structure]) -> int:
+    def _add(self, line: Described, types: Sequence[Enumeration | Structure] = ()) -> int:
         name = line.name
         if not isinstance(name, str) or not name:
             raise RegistrationError(f"the name of a function is a text of 1 or more, not {name!r}")

@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 from j2a_spec.nearest import nearest_or_all
 
 from j2a.errors import J2AError, LocalError
-from j2a.events import Sif
+from j2a.events import Restart, Sif
 from j2a.io.samples import BadPayload, WantedSamples
 from j2a.protocol.arguments import check_opcode
 from j2a.protocol.device_info import DeviceInfo
@@ -25,10 +25,12 @@ from j2a.types.model import SifShape
 
 __all__ = [
     "ErrorHook",
+    "Handler",
     "Handlers",
     "NamedSif",
     "Opcodes",
     "Reporter",
+    "RestartHandler",
     "Subscription",
     "Wanted",
     "is_told",
@@ -36,6 +38,12 @@ __all__ = [
 
 Opcodes = int | Iterable[int] | None
 """One opcode, several, or None for all."""
+
+Handler = Callable[[Sif], object]
+"""Called with each SIF that it is registered for; with asyncio it may be a coroutine function."""
+
+RestartHandler = Callable[[Restart], object]
+"""Called when the device has restarted; with asyncio it may be a coroutine function."""
 
 ErrorHook = Callable[[BaseException, Any], None]
 """Called with an exception that a handler raised, and what it was called with: a SIF, a `Restart`,

@@ -21,7 +21,7 @@ from j2a.events import Reply, Restart, Sif
 from j2a.io.async_calls import AsyncCalls
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.engine_base import MAX_SIFS_WAITING, EngineBase
-from j2a.io.handlers import ErrorHook, Handlers
+from j2a.io.handlers import ErrorHook, Handler, Handlers, RestartHandler
 from j2a.io.links import ThreadedLink, WatchedLink
 from j2a.io.threads import JOIN_S, LOOK_S, join_threads, start_thread
 from j2a.protocol.session import Call, Event, Session
@@ -29,15 +29,9 @@ from j2a.protocol.session import Call, Event, Session
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["AsyncEngine", "AsyncHandler", "AsyncRestartHandler"]
+__all__ = ["AsyncEngine"]
 
-AsyncHandler = Callable[[Sif], Awaitable[object] | object]
-"""Called in the event loop with each SIF that it is registered for; may be a coroutine function."""
-
-AsyncRestartHandler = Callable[[Restart], Awaitable[object] | object]
-"""Called in the event loop when the device has restarted; may be a coroutine function."""
-
-_Restarted = Callable[[Restart], Awaitable[tuple[Restart, Handlers[AsyncRestartHandler]]]]
+_Restarted = Callable[[Restart], Awaitable[tuple[Restart, Handlers[RestartHandler]]]]
 _TURN_S: Final = 0.005
 """For so long SIF handlers that never wait may keep the event loop for themselves."""
 
@@ -57,7 +51,7 @@ class AsyncEngine(EngineBase[AsyncSifStream]):
         self,
         transport: "Transport",
         session: Session,
-        handlers: Handlers[AsyncHandler],
+        handlers: Handlers[Handler],
         on_handler_error: ErrorHook | None,
         restarted: "weakref.WeakMethod[_Restarted]",
     ) -> None:
