@@ -409,10 +409,8 @@ class Client(ClientBase[SifStream]):
     def _load(self, *, needs_transducers: bool = False) -> None:
         """Fetch the function map, the interface and the descriptors, unless they were."""
         device = self._device
-        is_known = device.asked_for_transducers if needs_transducers else True
-        if device.functions is None or not device.asked_for_interface or self._is_stale:
-            is_known = False
-        if not is_known:
+        is_known = device.asked_for_interface and not self._is_stale
+        if not is_known or (needs_transducers and not device.asked_for_transducers):
             self._drive(self._load_functions(), self._device_limits(self.now()))
 
     def _restarted(self, restart: Restart) -> tuple[Restart, Handlers[RestartHandler]]:

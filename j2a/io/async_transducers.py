@@ -13,8 +13,7 @@ from j2a_spec import constants as c
 
 from j2a.errors import CallTimeout, LinkError, WrongArgument
 from j2a.events import Reading, Sample
-from j2a.io.streams import MAX_SIFS
-from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
+from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteSensor, RemoteTransducer
 from j2a.protocol.arguments import check_timeout
 from j2a.types.arrays import Batch
 from j2a.types.samples import pack_time
@@ -76,16 +75,8 @@ class _Async(RemoteTransducer):
         return self._is_saved(await self._client._call_transducer(make))
 
 
-class AsyncSensor(_Async):
+class AsyncSensor(_Async, RemoteSensor):
     """A sensor of a device; `async for sample in board.transducers["quad"]`."""
-
-    def latest(self) -> Sample | None:
-        """Return the newest sample that has come, None before the first one. Asks nothing."""
-        return self._source.latest(self.name)
-
-    def samples(self, *, max_waiting: int = MAX_SIFS) -> Any:
-        """Return the samples that come from now on; as `AsyncClient.sifs`."""
-        return self._stream(max_waiting)
 
     def __aiter__(self) -> Any:
         return self.samples()
@@ -113,10 +104,6 @@ class AsyncSensor(_Async):
             except (CallTimeout, LinkError) as error:
                 raise self._batch_error(before, found, count, error) from None
         return self._batch(before, found)
-
-    def on_sample(self, handler: Callable[[Sample], object]) -> Any:
-        """Have a function or coroutine function called with each sample."""
-        return self._client._handlers.add(self._wanted(), handler)
 
     async def trigger(self, at_us: int = 0) -> None:
         """Have the sensor measure once; `Sensor.trigger` for asyncio."""

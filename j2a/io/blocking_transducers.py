@@ -13,8 +13,7 @@ from j2a_spec import constants as c
 
 from j2a.errors import CallTimeout, LinkError
 from j2a.events import Reading, Sample
-from j2a.io.streams import MAX_SIFS
-from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
+from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteSensor, RemoteTransducer
 from j2a.protocol.arguments import check_timeout
 from j2a.types.arrays import Batch
 from j2a.types.samples import pack_time
@@ -99,7 +98,7 @@ class _Blocking(RemoteTransducer):
         self.configure(topic=topic)
 
 
-class Sensor(_Blocking):
+class Sensor(_Blocking, RemoteSensor):
     """A sensor of a device; from `Client.transducers`.
 
     Example::
@@ -109,18 +108,6 @@ class Sensor(_Blocking):
 
     Settings are attributes; to read or set one asks the device.
     """
-
-    def latest(self) -> Sample | None:
-        """Return the newest sample that has come, None before the first one. Asks nothing."""
-        return self._source.latest(self.name)
-
-    def samples(self, *, max_waiting: int = MAX_SIFS) -> Any:
-        """Return the samples that come from now on, to iterate over; as `Client.sifs`.
-
-        Args:
-            max_waiting: so many may wait; then the oldest are dropped, and counted in `lost`.
-        """
-        return self._stream(max_waiting)
 
     def __iter__(self) -> Iterator[Sample]:
         stream: Iterator[Sample] = self.samples()
@@ -165,13 +152,6 @@ class Sensor(_Blocking):
             except (CallTimeout, LinkError) as error:
                 raise self._batch_error(before, found, count, error) from None
         return self._batch(before, found)
-
-    def on_sample(self, handler: Callable[[Sample], object]) -> Any:
-        """Have a function called with each sample; returns an object whose `cancel()` ends it.
-
-        Handlers run in the thread of the SIF handlers; they may use the client.
-        """
-        return self._client._handlers.add(self._wanted(), handler)
 
     def trigger(self, at_us: int = 0) -> None:
         """Have the sensor measure once (J2A-TRANS-018).

@@ -8,7 +8,7 @@ found by its name, so that it stays the same when the device restarts.
 import math
 import struct
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from numbers import Integral, Real
 from typing import Any, Final, TypeVar
 
@@ -31,6 +31,7 @@ from j2a.errors import (
 )
 from j2a.events import Reading, Reply, Sample
 from j2a.io.samples import SampleSource, WantedSamples
+from j2a.io.streams import MAX_SIFS
 from j2a.protocol.saved_settings import ITEMS as SETTINGS
 from j2a.protocol.saved_settings import KEYS
 from j2a.types.arrays import Batch
@@ -41,6 +42,7 @@ from j2a.types.transducers import TIME_BYTES, Descriptors, Transducer
 
 __all__ = [
     "SETTINGS",
+    "RemoteSensor",
     "RemoteTransducer",
     "Transducers",
 ]
@@ -293,11 +295,32 @@ class RemoteTransducer:
             )
         return self._request(c.TRANSD_SAMPLE)
 
+
+class RemoteSensor(RemoteTransducer):
+    """What the sensors of both clients have in common."""
+
+    def latest(self) -> Sample | None:
+        """Return the newest sample that has come, None before the first one. Asks nothing."""
+        return self._source.latest(self.name)
+
+    def samples(self, *, max_waiting: int = MAX_SIFS) -> Any:
+        """Return the samples that come from now on, to iterate over; as `Client.sifs`.
+
+        Args:
+            max_waiting: so many may wait; then the oldest are dropped, and counted in `lost`.
+        """
+        return self._client._engine.stream(self._wanted(), max_waiting)
+
+    def on_sample(self, handler: Callable[[Sample], object]) -> Any:
+        """Have a function called with each sample; returns an object whose `cancel()` ends it.
+
+        It is called as SIF handlers are, see `Client.on_sif`: it may use the client, and with
+        asyncio it may be a coroutine function.
+        """
+        return self._client._handlers.add(self._wanted(), handler)
+
     def _wanted(self) -> WantedSamples:
         return WantedSamples(self._source, self.name)
-
-    def _stream(self, max_waiting: int) -> Any:
-        return self._client._engine.stream(self._wanted(), max_waiting)
 
     def _stream_of_batch(self, count: int) -> tuple[Transducer, Any]:
         """Return what the sensor is now, and a stream with room for a batch of its samples.
