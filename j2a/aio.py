@@ -107,24 +107,9 @@ class AsyncClient(ClientBase[AsyncSifStream]):
     Args and raises: as `j2a.Client`.
     """
 
-    def __init__(
-        self,
-        transport: "Transport",
-        *,
-        timeout: float = 1.0,
-        window: int = 1,
-        trace: Trace | None = None,
-        on_handler_error: ErrorHook | None = None,
-    ) -> None:
-        super().__init__(transport.url, timeout, window, trace)
-        self._functions: tuple[object, AsyncFunctions] | None = None
-        self._engine: AsyncEngine = AsyncEngine(
-            transport,
-            self._session,
-            self._handlers,
-            on_handler_error,
-            weakref.WeakMethod(self._restarted),
-        )
+    _engine_class = AsyncEngine
+    _engine: AsyncEngine
+    _functions: tuple[object, AsyncFunctions] | None = None
 
     # ------------------------------------------------------------------ calls
 
@@ -272,7 +257,7 @@ class AsyncClient(ClientBase[AsyncSifStream]):
         if self._clock is None:
             from j2a.io.async_clock import AsyncClock  # noqa: PLC0415 - few programs need it
 
-            self._clock = AsyncClock(weakref.ref(self), self._engine._transport)
+            self._clock = AsyncClock(weakref.ref(self), self._transport)
         return cast("AsyncClock", self._clock)
 
     def function(self, function: str | int, signature: str, definitions: str = "") -> AsyncFunction:

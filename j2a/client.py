@@ -29,8 +29,6 @@ from j2a.protocol.trace import Trace
 from j2a.protocol.transfer import Progress, Transfer
 
 if TYPE_CHECKING:
-    from j2a_transports import Transport
-
     from j2a.io.clock import Clock
 
 __all__ = ["Client", "Function", "Handler", "connect"]
@@ -74,26 +72,10 @@ class Client(ClientBase[SifStream]):
         OpenFailed: the system has no threads for it; the transport is closed then.
     """
 
-    def __init__(
-        self,
-        transport: "Transport",
-        *,
-        timeout: float = 1.0,
-        window: int = 1,
-        trace: Trace | None = None,
-        on_handler_error: ErrorHook | None = None,
-    ) -> None:
-        super().__init__(transport.url, timeout, window, trace)
-        self._transport = transport
-        self._functions: tuple[object, RemoteFunctions[Function]] | None = None
-        self._transducers: tuple[object, Transducers[Any]] | None = None
-        self._engine: Engine = Engine(
-            transport,
-            self._session,
-            self._handlers,
-            on_handler_error,
-            weakref.WeakMethod(self._restarted),
-        )
+    _engine_class = Engine
+    _engine: Engine
+    _functions: tuple[object, RemoteFunctions[Function]] | None = None
+    _transducers: tuple[object, Transducers[Any]] | None = None
 
     # ------------------------------------------------------------------ calls
 

@@ -44,6 +44,7 @@ from j2a.errors import (
 )
 from j2a.events import Counters, Doubt, Reply, Restart
 from j2a.io.handlers import (
+    ErrorHook,
     Handler,
     Handlers,
     NamedSif,
@@ -66,6 +67,8 @@ from j2a.types.model import Described, Interface
 from j2a.types.parser import parse_definitions, parse_signature
 
 if TYPE_CHECKING:
+    from j2a_transports import Transport
+
     from j2a.io.clock_base import ClockBase
     from j2a.io.engine_base import EngineBase
 
@@ -93,11 +96,32 @@ _FIRST_LIMIT_S: Final = 0.25
 class ClientBase(Generic[_StreamT]):
     """State and options that both clients have; each adds its own way of waiting."""
 
+    _engine_class: "type[EngineBase[_StreamT]]"
     _engine: "EngineBase[_StreamT]"
     # Made when somebody first asks for it.
     _clock: "ClockBase | None" = None
 
-    def __init__(self, url: str, timeout: float, window: int, trace: Trace | None) -> None:
+    def __init__(
+        self,
+        transport: "Transport",
+        *,
+        timeout: float = 1.0,
+        window: int = 1,
+        trace: Trace | None = None,
+        on_handler_error: ErrorHook | None = None,
+    ) -> None:
+        self._begin(transport.url, timeout, window, trace)
+        self._transport = transport
+        self._engine = self._engine_class(
+            transport,
+            self._session,
+            self._handlers,
+            on_handler_error,
+            weakref.WeakMethod(self._restarted),
+        )
+
+    def _begin(self, url: str, timeout: float, window: int, trace: Trace | None) -> None:
+        """Make all but the engine."""
         if not isinstance(window, int) or not 1 <= window <= MAX_WINDOW:
             raise LocalError(f"window is a number of calls from 1 to {MAX_WINDOW}, not {window!r}")
         self._url = url
@@ -312,6 +336,10 @@ class ClientBase(Generic[_StreamT]):
         is_changed, self._has_changed = self._has_changed, False
         found = self._device.interface_hash
         return replace(restart, interface_hash=found, is_changed=is_changed)
+
+    def _restarted(self, restart: Restart) -> Any:
+        """Learn anew what a device has that has restarted; see `EngineBase`."""
+        raise NotImplementedError
 
     def _failed_relearning(self, restart: Restart, error: J2AError) -> Restart:
         """Return what handlers are told when what the device has could not be learnt."""

@@ -52,7 +52,7 @@ class Noise(ClientBase):
     """A client at whose link there is nothing but noise."""
 
     def __init__(self, random: Random, kind, rate: int) -> None:
-        super().__init__("noise:", 1.0, 1, None)
+        self._begin("noise:", 1.0, 1, None)
         # The seed decides what a client draws by chance, so that a bad end can be repeated.
         self._session = Session(
             first_seq=random.randrange(256), nonce=lambda: random.randbytes(NONCE_BYTES)

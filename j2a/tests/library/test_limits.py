@@ -19,7 +19,7 @@ class Host(ClientBase):
     """A client whose device needs `cost_s` of virtual time for each request."""
 
     def __init__(self, device: j2a.Device, cost_s: float, timeout: float = 1.0) -> None:
-        super().__init__("virtual:", timeout, 1, None)
+        self._begin("virtual:", timeout, 1, None)
         self.device = device
         self.cost_s = cost_s
         self.now = 50.0

@@ -86,7 +86,7 @@ class Host(ClientBase):
     """A client whose device is called directly."""
 
     def __init__(self, device):
-        super().__init__("virtual:", 1.0, 1, None)
+        self._begin("virtual:", 1.0, 1, None)
         self.device = device
         code, payload = device._execute(0, b"")
         self._device.take_map(None if code == 0xF0 else Reply(code, payload))
