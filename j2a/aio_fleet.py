@@ -95,7 +95,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member", AsyncSifStream]):
             for url in urls:
                 self.add(url)
             if usb:
-                self._watch_usb(self._take_usb)
+                self._watch_usb(self._run_in_loop)
         except BaseException:
             for member in self._roster.close():
                 member.ask_to_stop()
@@ -175,9 +175,9 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member", AsyncSifStream]):
         changed, self._changed = self._changed, asyncio.Event()
         changed.set()
 
-    def _take_usb(self, change: Callable[[str], None], url: str) -> None:
+    def _run_in_loop(self, *call: Any) -> None:
         with suppress(RuntimeError):  # the loop is closed
-            self._loop.call_soon_threadsafe(change, url)
+            self._loop.call_soon_threadsafe(*call)
 
     def _deliver(self, sample: Sample) -> Awaitable[None] | None:
         return self._calls.call(self._takers(sample.name), sample)

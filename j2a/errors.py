@@ -93,8 +93,7 @@ class J2AError(Exception):
 
     def __str__(self) -> str:
         # Names and text of the device may be part of it, and a traceback prints it to a terminal.
-        # Not that of KeyError, which puts the message in quotes.
-        return printable(Exception.__str__(self))
+        return printable(str(self.args[0]) if self.args else "")
 
     def copy(self, text: str, outcome: Outcome) -> Self:
         """Return an error like this one with another message and outcome.
@@ -303,9 +302,6 @@ class RemoteError(J2AError):
         super().__init__(message, code, payload, outcome=outcome)
         self.code = code
         self.payload = payload
-
-    def __str__(self) -> str:
-        return printable(str(self.args[0]))
 
 
 class OpcodeRefused(RemoteError):

@@ -88,7 +88,7 @@ class Fleet(FleetBase[Client, "_Member", SifStream]):
             for url in urls:
                 self.add(url)
             if usb:
-                self._threads.append(self._watch_usb(lambda change, url: change(url)))
+                self._threads.append(self._watch_usb(lambda function, *args: function(*args)))
         except BaseException:
             self.close()
             raise

@@ -283,11 +283,11 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
 
     # ------------------------------------------------------------------ USB
 
-    def _watch_usb(self, take: Callable[[Callable[[str], None], str], object]) -> threading.Thread:
+    def _watch_usb(self, run: Callable[..., object]) -> threading.Thread:
         """Watch the boards on the USB in a thread; libusb can only be asked.
 
         Args:
-            take: is called by the thread with `add` or `remove` and a URL.
+            run: calls a function with arguments, where `add` and `remove` may be called.
 
         Raises:
             OpenFailed: the USB cannot be watched.
@@ -301,7 +301,7 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
             try:
                 for event in watch:
                     has_come = isinstance(event, j2a_transports.UsbArrived)
-                    take(self._add_quietly if has_come else self._remove_quietly, event.board.url)
+                    run(_try, self.add if has_come else self.remove, event.board.url)
             except TRANSPORT_ERRORS:
                 if not self._roster.is_closed:
                     _logger.exception("the boards on the USB are watched no more")
@@ -316,10 +316,8 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
     def add(self, url: str) -> None:
         """Take in a board."""
 
-    def _add_quietly(self, url: str) -> None:
-        with contextlib.suppress(LocalError):  # given as a URL, too
-            self.add(url)
 
-    def _remove_quietly(self, url: str) -> None:
-        with contextlib.suppress(LocalError):  # gone already
-            self.remove(url)
+def _try(change: Callable[[str], None], url: str) -> None:
+    """Follow a board on the USB, unless the user has given its URL, too, or has removed it."""
+    with contextlib.suppress(LocalError):
+        change(url)
