@@ -13,27 +13,20 @@ import logging
 import math
 import queue
 import threading
-import weakref
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from j2a_transports import TransportError
 
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Restart, Sif
 from j2a.io.engine_base import MAX_SIFS_WAITING, EngineBase
-from j2a.io.handlers import ErrorHook, Handler, Handlers, RestartHandler
 from j2a.io.opening import WAIT_S
 from j2a.io.streams import SifStream
 from j2a.io.threads import JOIN_S, LEAD_S, LinkThreads, join_threads, start_thread
-from j2a.protocol.session import Call, Event, Session
-
-if TYPE_CHECKING:
-    from j2a_transports import Transport
+from j2a.protocol.session import Call, Event
 
 __all__ = ["Engine"]
-
-_Restarted = Callable[[Restart], tuple[Restart, Handlers[RestartHandler]]]
 
 _LEAVE_S: Final = 0.1
 """How long a dispatcher whose handler has not ended in time has left to do so."""
@@ -48,15 +41,8 @@ class Engine(EngineBase[SifStream]):
     _stream_class = SifStream
     _link: LinkThreads
 
-    def __init__(
-        self,
-        transport: "Transport",
-        session: Session,
-        handlers: Handlers[Handler],
-        on_handler_error: ErrorHook | None,
-        restarted: "weakref.WeakMethod[_Restarted]",
-    ) -> None:
-        super().__init__(transport, session, handlers, on_handler_error, restarted)
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
         self._sifs: queue.SimpleQueue[Sif | Restart | None] = queue.SimpleQueue()
         self._drops_sifs = False
         # Whoever takes the second holds the first while it waits, except for the reader, which only
@@ -66,8 +52,8 @@ class Engine(EngineBase[SifStream]):
         self._turn = threading.RLock()
         self._state = threading.Lock()
         self._closing = threading.RLock()
-        self._link = LinkThreads(transport, self._receive, self._judge, self._end)
-        self.dispatcher = start_thread(self._dispatch, f"j2a handlers {transport.url}")
+        self._link = LinkThreads(self._transport, self._receive, self._judge, self._end)
+        self.dispatcher = start_thread(self._dispatch, f"j2a handlers {self._transport.url}")
         try:
             self._link.start()
         except LinkError as error:

@@ -580,7 +580,7 @@ class ClientBase(Generic[_StreamT]):
         self._session.echo_opcode = self._device.names.get(GET_ECHO)
         if self._window > 1:
             yield from self._device.learn_room()  # where they are unreadable, there is no rxbuf
-            self._session.rxbuf = self._device.rxbuf
+            self._session.rxbuf = self._device.announced.rxbuf
 
     def _take_map(self, limit_s: float) -> Transfer[None]:
         """Fetch the function map, which proves that a device answers.

@@ -6,6 +6,7 @@ What flows in: SIFs and restarts of a device. What flows out: streams, and what 
 import contextlib
 import weakref
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from j2a.errors import LinkClosed, LocalError
@@ -53,7 +54,7 @@ class EngineBase(ABC, Generic[_StreamT]):
         session: Session,
         handlers: Handlers[Any],
         on_handler_error: ErrorHook | None,
-        restarted: "weakref.WeakMethod[Any]",
+        restarted: "weakref.WeakMethod[Callable[[Restart], Any]]",
     ) -> None:
         self._transport = transport
         self.now = clock_of(transport)

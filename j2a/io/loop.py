@@ -10,28 +10,22 @@ import asyncio
 import contextlib
 import logging
 import math
-import weakref
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Iterable, Sequence
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Restart, Sif
 from j2a.io.async_calls import AsyncCalls
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.engine_base import MAX_SIFS_WAITING, EngineBase
-from j2a.io.handlers import ErrorHook, Handler, Handlers, RestartHandler
 from j2a.io.links import ThreadedLink, WatchedLink
 from j2a.io.threads import JOIN_S, LOOK_S, join_threads, start_thread
-from j2a.protocol.session import Call, Event, Session
-
-if TYPE_CHECKING:
-    from j2a_transports import Transport
+from j2a.protocol.session import Call, Event
 
 __all__ = ["AsyncEngine"]
 
-_Restarted = Callable[[Restart], Awaitable[tuple[Restart, Handlers[RestartHandler]]]]
 _TURN_S: Final = 0.005
 """For so long SIF handlers that never wait may keep the event loop for themselves."""
 
@@ -47,15 +41,8 @@ class AsyncEngine(EngineBase[AsyncSifStream]):
     _stream_class = AsyncSifStream
     _link: WatchedLink | ThreadedLink
 
-    def __init__(
-        self,
-        transport: "Transport",
-        session: Session,
-        handlers: Handlers[Handler],
-        on_handler_error: ErrorHook | None,
-        restarted: "weakref.WeakMethod[_Restarted]",
-    ) -> None:
-        super().__init__(transport, session, handlers, on_handler_error, restarted)
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
         self._loop = asyncio.get_running_loop()
         self._sifs: deque[Sif | Restart | None] = deque()  # None is the end
         self._came = asyncio.Event()

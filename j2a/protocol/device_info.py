@@ -394,11 +394,6 @@ class DeviceInfo:
         known = self.names
         return known.get(GET_PROPERTIES) if MANY in known else None
 
-    @property
-    def rxbuf(self) -> int:
-        """How many wire bytes the device holds while it is busy; 0 when it does not say."""
-        return self.announced.rxbuf
-
     def check_version(self, outcome: Outcome = Outcome.NOT_SENT) -> None:
         """Refuse a transfer with a device that is known to speak another major version.
 
