@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 from j2a_spec.constants import GET_ECHO, TRANSD
 
 from j2a.errors import J2AError, LinkClosed, OpenFailed
-from j2a.events import Doubt, Reply, Restart, Sif
+from j2a.events import Reply, Sif
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.client_base import ClientBase, check_echo, checked
-from j2a.io.handlers import ErrorHook, Handlers, Opcodes, RestartHandler
+from j2a.io.handlers import ErrorHook, Opcodes
 from j2a.io.loop import AsyncEngine
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
@@ -325,14 +325,6 @@ class AsyncClient(ClientBase[AsyncSifStream]):
         await self.close()
 
     # ------------------------------------------------------------------ machinery
-
-    async def _restarted(self, restart: Restart) -> tuple[Restart, Handlers[RestartHandler]]:
-        """Learn anew what a device has that has restarted."""
-        try:
-            restart = await self._drive(self._relearn(restart), self._device_limits(self.now()))
-        except J2AError as error:
-            restart = self._failed_relearning(restart, error)
-        return restart, Handlers() if isinstance(restart, Doubt) else self._restart_handlers
 
     async def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         generation = self._session.generation

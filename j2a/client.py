@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 from j2a_spec.constants import GET_ECHO, TRANSD
 
 from j2a.errors import J2AError, UnknownTransducer
-from j2a.events import Doubt, Reply, Restart, Sif
+from j2a.events import Reply, Sif
 from j2a.io.blocking import Engine
 from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.client_base import ClientBase, check_echo, checked
-from j2a.io.handlers import ErrorHook, Handler, Handlers, Opcodes, RestartHandler
+from j2a.io.handlers import ErrorHook, Handler, Opcodes
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
 from j2a.io.streams import SifStream
@@ -394,14 +394,6 @@ class Client(ClientBase[SifStream]):
         is_known = device.asked_for_interface and not self._is_stale
         if not is_known or (needs_transducers and not device.asked_for_transducers):
             self._drive(self._load_functions(), self._device_limits(self.now()))
-
-    def _restarted(self, restart: Restart) -> tuple[Restart, Handlers[RestartHandler]]:
-        """Learn anew what a device has that has restarted."""
-        try:
-            restart = self._drive(self._relearn(restart), self._device_limits(self.now()))
-        except J2AError as error:
-            restart = self._failed_relearning(restart, error)
-        return restart, Handlers() if isinstance(restart, Doubt) else self._restart_handlers
 
     def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         generation = self._session.generation

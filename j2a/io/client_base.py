@@ -327,19 +327,30 @@ class ClientBase(Generic[_StreamT]):
         """What was learnt of the device may be wrong, because it has or may have restarted."""
         return self._learnt != self._session.epoch
 
-    def _relearn(self, restart: Restart) -> Transfer[Restart]:
-        """Learn anew what the device has, unless that was done; return what handlers are told."""
-        if isinstance(restart, Doubt):
-            yield from self._load_functions()
-            return restart
-        yield from self._load_functions()
-        is_changed, self._has_changed = self._has_changed, False
-        found = self._device.interface_hash
-        return replace(restart, interface_hash=found, is_changed=is_changed)
-
     def _restarted(self, restart: Restart) -> Any:
         """Learn anew what a device has that has restarted; see `EngineBase`."""
+        return self._drive(self._relearn(restart), self._device_limits(self.now()))
+
+    def _drive(self, transfer: Transfer[Any], limits: Limits) -> Any:
+        """Make the calls that a transfer asks for, and return its result."""
         raise NotImplementedError
+
+    def _relearn(self, restart: Restart) -> Transfer[tuple[Restart, Handlers[Any]]]:
+        """Learn anew what the device has, unless that was done.
+
+        Returns: what handlers are told, and these handlers.
+        """
+        is_doubt = isinstance(restart, Doubt)
+        try:
+            yield from self._load_functions()
+        except J2AError as error:
+            restart = self._failed_relearning(restart, error)
+        else:
+            if not is_doubt:
+                is_changed, self._has_changed = self._has_changed, False
+                found = self._device.interface_hash
+                restart = replace(restart, interface_hash=found, is_changed=is_changed)
+        return restart, Handlers() if is_doubt else self._restart_handlers
 
     def _failed_relearning(self, restart: Restart, error: J2AError) -> Restart:
         """Return what handlers are told when what the device has could not be learnt."""
