@@ -117,6 +117,17 @@ class TestVirtualBoards:
                     assert None not in sensor.wait(PATIENCE_S).values
                 board.transducers["imu"].trigger()
 
+    def test_it_measures_where_there_was_no_thread_before(self, monkeypatch):
+        def fail(_thread):
+            raise RuntimeError("can't start new thread")
+
+        with VirtualBoard(read_transds(FILE)) as device:
+            with monkeypatch.context() as patch, pytest.raises(j2a.OpenFailed):
+                patch.setattr(threading.Thread, "start", fail)
+                device.measure()
+            device.measure()
+            assert device._thread.is_alive()
+
     def test_two_sensors_are_triggered_at_one_time(self):
         """Neither measures before, and both once; each request would do so at a time of its own."""
         lines = (
