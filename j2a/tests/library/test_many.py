@@ -156,7 +156,7 @@ class TestAgainstTheDemo:
             "j2a.interface": f"{zlib.crc32(demo._table.interface):08x}",
         }
         assert drive(demo._execute, peer.read_properties()) == want
-        assert peer.rxbuf == 4096
+        assert peer.announced.rxbuf == 4096
 
     def test_properties_of_more_than_one_chunk(self):
         properties = {f"key{n}": f"value {n} " * 3 for n in range(60)}
@@ -539,7 +539,7 @@ class TestPeer:
         device = j2a.Device({"j2a.rxbuf": text or "x"})
         peer = know(device)
         drive(device._execute, peer.read_properties())
-        assert peer.rxbuf == 0
+        assert peer.announced.rxbuf == 0
 
     @pytest.mark.parametrize("data", ["text", 5, None, [1]])
     def test_data_that_is_no_bytes(self, peer, data):
