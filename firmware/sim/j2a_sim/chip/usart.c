@@ -285,13 +285,13 @@ static void reset(struct avr_io_t *io)
     usart_t *u = io->avr->io[AVR_DATA_TO_IO(((avr_uart_t *)io)->r_udr)].w.param;
     avr_cycle_timer_cancel(u->avr, tx_done, u);
     wire_listen(&u->rx, 0);
+    u->avr->data[u->port->usbs.reg] = 6; /* 8N1, for what the host makes of a character that is cut, too */
     wire_cut(&u->tx);
     u->tx_buffered = u->tx_shifting = 0;
     rx_flush(u);
     clear_flag(u, &u->port->txc);
     u->avr->data[ucsra(u)] = 0;
     u->avr->data[ucsrb(u)] = 0;
-    u->avr->data[u->port->usbs.reg] = 6; /* 8N1 */
     avr_regbit_set(u->avr, u->port->udrc.raised);
     if (u->host_sending) /* the host's transmitter knows of no reset; simavr drops all timers */
         host_start(u);

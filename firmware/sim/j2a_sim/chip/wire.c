@@ -50,8 +50,7 @@ static void receive_from(wire_t *w, double start)
     }
     w->start = start;
     double delay = ceil(at) - w->avr->cycle;
-    w->due = w->avr->cycle + (delay < 1 ? 1 : (avr_cycle_count_t)delay);
-    avr_cycle_timer_register(w->avr, w->due - w->avr->cycle, wire_event, w);
+    avr_cycle_timer_register(w->avr, delay < 1 ? 1 : (avr_cycle_count_t)delay, wire_event, w);
 }
 
 static avr_cycle_count_t wire_event(avr_t *avr, avr_cycle_count_t when, void *param)
@@ -115,8 +114,9 @@ void wire_cut(wire_t *w)
     while (sent < last->bits && last->start + sent * last->bit < now)
         sent++;
     last->levels |= ~0u << sent;
-    if (w->state != WIRE_IDLE)
-        avr_cycle_timer_register(w->avr, w->due > now ? w->due - now : 1, wire_event, w);
+    if (w->state == WIRE_SAMPLING)
+        wire_event(w->avr, now, w);
+    w->state = WIRE_IDLE;
 }
 
 void wire_listen(wire_t *w, int on)

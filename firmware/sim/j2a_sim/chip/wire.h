@@ -38,13 +38,13 @@ typedef struct {
     wire_char_t recent[WIRE_RECENT];            /* newest first */
     enum { WIRE_IDLE, WIRE_EDGE_AHEAD, WIRE_SAMPLING } state;
     double start, bit;                          /* of the character that is being received */
-    uint64_t due;                               /* the cycle at which it, or its start bit, has come */
 } wire_t;
 
 unsigned wire_char_bits(wire_format_t);
 /* Puts a character on the wire; returns the time at which its last stop bit ends. */
 double wire_send(wire_t *, double start, double bit, uint8_t byte);
-/* The sender was reset, and simavr has dropped all timers: the wire is high from the end of this bit on. */
+/* The sender was reset, and simavr has dropped all timers: the wire is high from the end of this bit on. The
+ * receiver has the character at once, as the time in which a chip starts is not simulated. */
 void wire_cut(wire_t *);
 /* Switches the receiver; one that is off forgets what it is receiving. */
 void wire_listen(wire_t *, int on);
