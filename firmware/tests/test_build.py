@@ -184,9 +184,8 @@ def test_map_too_long_for_a_frame(make, tmp_path):
 
 @pytest.mark.parametrize("mapping", [0, 1])
 def test_more_functions_than_a_device_can_count(make, tmp_path, mapping):
-    room = (
-        255 - len(c.BUILTINS) - mapping
-    )  # the map's place is reserved, a2jGetInterface is one more
+    # Without the map its place is reserved; with it, a2jGetInterface is there, too.
+    room = 255 - len(c.BUILTINS) - mapping
     for count in (room, room + 1):
         functions = "".join(f"J2A_CALL(f{i}, f{i})\n" for i in range(count))
         folder = app(tmp_path / f"app{count}", functions)

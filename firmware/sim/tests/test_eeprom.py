@@ -18,6 +18,14 @@ def begin_write(chip, address, value):
     chip.put(EECR, EEPE)
 
 
+def reset_behind_a_write(chip, wait_ms):
+    """Write 0x55 to address 7, wait, reset the chip, and let it start."""
+    begin_write(chip, 7, 0x55)
+    chip.ms(wait_ms)
+    chip.sim.reset()
+    chip.ms(0.1)
+
+
 def test_each_chip_has_its_own_size(open_chip):
     """The ATmega32U2 runs as a chip with half its EEPROM."""
     chip = open_chip("atmega32u2")
@@ -31,10 +39,7 @@ def test_each_chip_has_its_own_size(open_chip):
 
 def test_a_write_goes_on_through_a_reset(open_chip):
     chip = open_chip("atmega32u4")
-    begin_write(chip, 7, 0x55)
-    chip.ms(1)
-    chip.sim.reset()
-    chip.ms(0.1)
+    reset_behind_a_write(chip, 1)
     assert chip.get(EECR) & EEPE
     begin_write(chip, 8, 0x66)
     assert chip.sim.read_eeprom(7, 2) == b"\x55\xff"
@@ -44,10 +49,7 @@ def test_a_write_goes_on_through_a_reset(open_chip):
 
 def test_a_reset_while_nothing_is_written(open_chip):
     chip = open_chip("atmega32u4")
-    begin_write(chip, 7, 0x55)
-    chip.ms(4)
-    chip.sim.reset()
-    chip.ms(0.1)
+    reset_behind_a_write(chip, 4)
     assert not chip.get(EECR) & EEPE
 
 
