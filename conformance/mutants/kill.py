@@ -42,10 +42,17 @@ _BASELINES = 3  # a stall of this machine may spoil one run of the unmutated tar
 
 @dataclass
 class Found:
-    """What the jobs have shown: the outcomes of mutants, by id, and what is wrong."""
+    """What the jobs have shown.
+
+    Attributes:
+        outcomes: of the mutants, by id.
+        problems: what is wrong.
+        unproven: the variants whose unmutated target did not pass, so that no kill there counts.
+    """
 
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    unproven: set[Variant] = field(default_factory=set)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -87,10 +94,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         kept = kept | rows
         matrix.write(tables, kept, matrix.MATRIX)
         known = True
-    if (args.write or args.record) and not found.problems:
+    if args.write or args.record:
         for target, mutant in chosen:
-            if killed_by := rows[mutant.id].killed_by:
-                kills[mutant.id] = killed_by[0], judged.digest(target, mutant, killed_by[0])
+            row = rows.get(mutant.id)
+            if row and row.killed_by and variant(target, mutant) not in found.unproven:
+                killed_by = row.killed_by[0]
+                kills[mutant.id] = killed_by, judged.digest(target, mutant, killed_by)
         judged.write(judged.JUDGED, kills, (m.id for table in tables for m in table.mutants))
     if not args.only:
         exceptions = matrix.exceptions(matrix.MATRIX) if known else []
@@ -275,6 +284,8 @@ def _note(job: Job, outcome: Outcome, found: Found, verbose: bool) -> None:
     if verbose:
         print(f"{name}: {outcome.trouble or ', '.join(outcome.failed) or 'nothing failed'}")
         sys.stdout.flush()
+    if job.mutant is None and (outcome.trouble or outcome.failed):
+        found.unproven.add(job.how)
     if outcome.trouble:
         found.problems.append(f"{name}: {outcome.trouble}")
     elif job.mutant:

@@ -159,3 +159,36 @@ def test_only_kills_are_kept(monkeypatch, tmp_path, need, capsys):
     assert kill.main(run) == 0
     ((case, of),) = judged.read(judged.JUDGED).values()
     assert (case, of) == (KILLER, judged.digest("core", CORE, KILLER))
+
+
+@pytest.mark.parametrize(
+    ("unmutated", "kept"),
+    [
+        (targets.Outcome(), {CORE.id}),
+        (targets.Outcome((KILLER,)), set()),
+        (targets.Outcome(trouble="it is not built"), set()),
+    ],
+)
+def test_a_kill_is_kept_though_another_mutant_is_lost(
+    unmutated, kept, monkeypatch, tmp_path, need, capsys
+):
+    need("cc")
+    lost, _ = find("core-stuff-004-b")
+    monkeypatch.setattr(matrix, "MATRIX", tmp_path / "matrix.json")
+    monkeypatch.setattr(judged, "JUDGED", tmp_path / "judged.json")
+    monkeypatch.setattr(kill, "TARGETS", ("core",))
+    monkeypatch.setattr(kill, "load", lambda _: Table("core", (CORE, lost), ()))
+    outcomes = {
+        None: unmutated,
+        CORE: targets.Outcome((KILLER,), frozenset((KILLER,))),
+        lost: targets.Outcome(trouble="nothing answers"),
+    }
+
+    def judge_all(_pool, jobs, found, verbose):
+        for job in jobs:
+            kill._note(job, outcomes[job.mutant], found, verbose)
+
+    monkeypatch.setattr(kill, "_all", judge_all)
+    assert kill.main(["--record", "--only", CORE.id, lost.id, "-j", "1"]) == 1
+    assert set(judged.read(judged.JUDGED)) == kept
+    assert "nothing answers" in capsys.readouterr().out

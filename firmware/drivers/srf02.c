@@ -72,7 +72,7 @@ void srf02_task(void) {
     else if (phase == TELLING)
         found[channel] = 1;
     else if (found[channel] != 0) /* else it has the distance of before */
-        found[channel] = (uint16_t)(bytes[0] << 8 | bytes[1]);
+        found[channel] = (uint16_t)((unsigned)bytes[0] << 8 | bytes[1]);
     if (++channel < SRF02_COUNT)
         return;
     channel = 0;

@@ -18,6 +18,7 @@ from j2a_spec.constants import KNOWN_BUILTINS
 import j2a
 from j2a.cli import _commands
 from j2a.cli._exit import OK
+from j2a.cli._list import port_url
 from j2a.cli._output import show, show_text
 
 NOTES: Final = """\
@@ -164,7 +165,7 @@ def _urls(partial: str) -> Iterator[str]:
         from serial.tools.list_ports import comports  # noqa: PLC0415 - of an extra
 
         for port in sorted(comports()):
-            yield f"serial://{port.device}"
+            yield port_url(port.device)
     if ":" not in partial:
         yield from (f"{scheme}:" for scheme in j2a_transports.schemes())
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from j2a_spec import constants as c
+from j2a_spec.plural import counted
 
 from ._dimensions import frame
 
@@ -84,7 +85,7 @@ def difference(came: bytes, due: bytes) -> str:
                 f"byte {index} is 0x{one:02X}, not 0x{other:02X} "
                 f"(… {came[near].hex(' ')} …, due … {due[near].hex(' ')} …)"
             )
-    return f"it has {len(came)} bytes, not {len(due)}" if len(came) != len(due) else ""
+    return f"it has {counted(len(came), 'byte')}, not {len(due)}" if len(came) != len(due) else ""
 
 
 def explain(reported: str, due: bytes) -> str:
@@ -98,8 +99,8 @@ def explain(reported: str, due: bytes) -> str:
     if size != len(due):
         for cut, where in ((due[:size], "the end"), (due[-size:], "the beginning")):
             if zlib.crc32(cut) == crc and size < len(due):
-                return f"it has {size} bytes, not {len(due)}: {where} is missing"
-        return f"it has {size} bytes, not {len(due)}"
+                return f"it has {counted(size, 'byte')}, not {len(due)}: {where} is missing"
+        return f"it has {counted(size, 'byte')}, not {len(due)}"
     for index, byte in enumerate(due if size <= 2 * c.MAX_PAYLOAD else b""):
         head = zlib.crc32(due[:index])
         for other in range(256):

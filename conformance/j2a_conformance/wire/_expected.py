@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, Skipped, encode
+from j2a_spec.plural import counted
 
 __all__ = [
     "DAMAGE",
@@ -111,7 +112,7 @@ def first_difference(came: bytes, due: bytes) -> str:
     for place, (here, there) in enumerate(zip(came, due, strict=False), 1):
         if here != there:
             return f"byte {place} of {len(due)} is 0x{here:02X} and not 0x{there:02X}"
-    return f"{len(came)} bytes and not {len(due)}"
+    return f"{counted(len(came), 'byte')} and not {len(due)}"
 
 
 def difference(came: Event, due: Expected) -> str:
@@ -134,7 +135,7 @@ def describe(event: Event) -> str:
         case FrameError():
             return "a frame with ESC 0xFF in it"
         case Skipped(count):
-            return f"{count} bytes outside a frame"
+            return f"{counted(count, 'byte')} outside a frame"
         case _:
             return "a frame without its end"
 

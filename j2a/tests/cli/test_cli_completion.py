@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from serial.tools.list_ports_common import ListPortInfo
 
 from j2a.cli import _commands
 from j2a.cli._completion import candidates
@@ -45,6 +46,12 @@ ASK = {
         end
     """,
 }
+
+
+def test_serial_ports_are_offered_as_list_names_them(monkeypatch):
+    ports = [ListPortInfo("/dev/ttyUSB0"), ListPortInfo("COM3")]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
+    assert candidates(["info", "serial:"]) == ["serial:///dev/ttyUSB0", "serial:COM3"]
 
 
 def test_what_is_offered_comes_from_the_commands(demo):
