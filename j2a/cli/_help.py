@@ -109,7 +109,7 @@ def _declared(use: Literal["open", "listen"]) -> dict[str, Usage]:
         try:
             usage: Usage | None = getattr(j2a_transports.describe(name), use)
         except OpenFailed as error:  # of another package: the other schemes work without it
-            usage = Usage(f"{name}:", f"({error})", (f"{name}:",))
+            usage = Usage(f"{name}:", f"({' '.join(str(error).split())})", (f"{name}:",))
         if usage is not None:
             found[name] = usage
     return found
@@ -133,6 +133,6 @@ def _table(rows: Iterable[tuple[str, str]], columns: int) -> str:
     """Lay rows out as argparse does: a left text of many columns has a line of its own."""
     indent = " " * (2 + columns)
     return "\n".join(
-        f"  {left:<{columns}}{right}" if len(left) < columns else f"  {left}\n{indent}{right}"
+        f"  {left:<{columns}}{right}" if len(left) < columns - 1 else f"  {left}\n{indent}{right}"
         for left, right in rows
     )

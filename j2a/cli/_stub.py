@@ -13,6 +13,7 @@ from typing import Final
 from j2a_spec.plural import counted
 
 from j2a.cli._exit import OK, UsageError, file_errors
+from j2a.cli._files import write_files
 from j2a.cli._info import interface_facts
 from j2a.cli._link import (
     add_condition_arguments,
@@ -72,8 +73,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output is None:
         show_text(text)
         return OK
-    with file_errors(f"cannot write {args.output}"):
-        args.output.write_text(text, "utf-8")
+    write_files({args.output: text})
     described = sum(line.signature is not None for line in interface.functions)
     functions = counted(described, "function")
     show(f"wrote {args.output}: {functions} of the interface {digest}")

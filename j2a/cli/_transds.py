@@ -7,7 +7,6 @@ to read. Rule: nothing is written unless all of it can be.
 import argparse
 import contextlib
 import os
-import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from j2a_spec.printable import printable
 import j2a
 from j2a.cli._descriptors import aligned, transducer_facts
 from j2a.cli._exit import OK, REMOTE, CommandFailed, UsageError, file_errors
+from j2a.cli._files import is_output, write_files, written
 from j2a.cli._link import (
     add_condition_arguments,
     add_json_argument,
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     for text in strange_keys(descriptors):
         note(f"j2a: {text}")
     write_files(files)
-    tell = note if args.json else show
+    tell = note if args.json or any(map(is_output, files)) else show
     for path in files:
         tell(f"wrote {path}")
     for path in changed:
@@ -176,13 +176,15 @@ def _distinct(files: Iterator[tuple[Path, str]], source: Path) -> dict[Path, str
         UsageError: one would be lost, of two with one path or of what was read.
     """
     found: dict[Path, str] = {}
+    real = set()
     for path, text in files:
-        if path in found:
+        if (name := os.path.realpath(path)) in real:
             raise UsageError(f"{path} would be written twice; choose another name")
         with contextlib.suppress(OSError):  # neither needs to be there
             if path.samefile(source):
                 raise UsageError(f"{path} is the file that is read; choose another name")
         found[path] = text
+        real.add(name)
     return found
 
 
@@ -190,41 +192,11 @@ def _changed_messages(files: Mapping[Path, str]) -> list[Path]:
     """Return which messages are there already and will say something else."""
     found = []
     for path, text in files.items():
-        with contextlib.suppress(OSError):  # it is not there; or writing tells why not
-            if path.suffix == ".msg" and path.read_bytes() != _written(text).encode():
+        with contextlib.suppress(OSError):  # writing tells why not
+            is_message = path.suffix == ".msg" and path.is_file()
+            if is_message and path.read_bytes() != written(text).encode():
                 found.append(path)
     return found
-
-
-def _written(text: str) -> str:
-    return printable(text, "\n\t")  # what a board says turns no line around
-
-
-def write_files(files: Mapping[Path, str]) -> None:
-    """Write files by path, each as a whole; one that is there keeps its permissions.
-
-    Raises:
-        UsageError: one cannot be written.
-    """
-    for path, text in files.items():
-        if not path.name:
-            raise UsageError(f"{path} is a folder: name a file in it")
-        with file_errors(f"cannot write {path}"):
-            if path.exists() and not path.is_file():  # a pipe or a device, which stays
-                path.write_text(_written(text), "utf-8", newline="\n")
-                continue
-            target = Path(os.path.realpath(path))  # a link stays
-            part = target.with_name(f"{target.name}.part")  # a full disk spoils no file
-            try:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                part.write_text(_written(text), "utf-8", newline="\n")
-                with contextlib.suppress(FileNotFoundError):
-                    shutil.copymode(target, part)
-                part.replace(target)
-            except OSError:
-                with contextlib.suppress(OSError):
-                    part.unlink(missing_ok=True)
-                raise
 
 
 def table(descriptors: Descriptors) -> Iterator[str]:

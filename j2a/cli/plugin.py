@@ -8,6 +8,7 @@ of the bridge use nothing else of it.
 
 from j2a.cli._descriptors import transducer_facts
 from j2a.cli._exit import FAILED, INTERRUPTED, LINK, OK, USAGE, CommandFailed, UsageError
+from j2a.cli._files import write_files
 from j2a.cli._help import open_help
 from j2a.cli._link import (
     add_condition_arguments,
@@ -22,7 +23,7 @@ from j2a.cli._link import (
 )
 from j2a.cli._output import note, show, show_json
 from j2a.cli._progress import Progress
-from j2a.cli._transds import read_source, write_files
+from j2a.cli._transds import read_source
 from j2a.cli._typed import json_of, plain, values_of
 
 __all__ = [

@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from j2a_spec.constants import GET_TRANSDS
 
 import j2a
 from j2a.cli import main
+from j2a.cli._files import write_files
 from j2a.tests.types.test_transds_file import DESCRIPTORS_9_2, LISTING_9_2
 from j2a.types.transds_file import read_transds
 
@@ -248,6 +250,76 @@ def test_a_link_and_a_pipe_stay_what_they_are(run, transds, tmp_path):
     os.close(reader)
 
 
+def test_a_file_system_without_permissions_is_no_reason_to_refuse(
+    run, transds, tmp_path, monkeypatch
+):
+    page = tmp_path / "page.html"
+    page.write_text("old")
+
+    def chmod(*_args, **_options):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "chmod", chmod)
+    assert run("transds", transds, "--html", page).code == 0
+    assert "<html" in page.read_text()
+
+
+def test_what_a_killed_run_left_is_in_nobodys_way(run, transds, tmp_path):
+    page, part = tmp_path / "page.html", tmp_path / "page.html.part"
+    part.write_text("half")
+    part.chmod(0o444)
+    assert run("transds", transds, "--html", page).code == 0
+    assert not part.exists()
+    assert "half" not in page.read_text()
+
+
+def test_ctrl_c_leaves_what_was_there(tmp_path, monkeypatch):
+    page = tmp_path / "page.html"
+    page.write_text("old")
+
+    def interrupted(*_args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shutil, "copymode", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_files({page: "new"})
+    assert page.read_text() == "old"
+    assert [one.name for one in tmp_path.iterdir()] == ["page.html"]
+
+
+@pytest.mark.parametrize("before", ["a\n", ""])
+def test_the_standard_output_holds_the_file_and_nothing_else(transds, tmp_path, before):
+    log = tmp_path / "log"
+    command = f"{sys.executable} -m j2a transds {transds} --python /dev/stdout"
+    script = f"{{ printf '{before}'; {command}; printf '#b\\n'; }} > {log}"
+    done = subprocess.run(["sh", "-c", script], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "wrote /dev/stdout"
+    text = log.read_text()
+    assert text.startswith(before)
+    assert text.endswith("#b\n")
+    compile(text.removeprefix(before), "module", "exec")
+    piped = subprocess.run(command.split(), capture_output=True, text=True, check=True)
+    assert piped.stdout == text.removeprefix(before).removesuffix("#b\n")
+
+
+def test_a_reader_that_is_gone_ends_the_program_as_others(transds):
+    script = f"({sys.executable} -m j2a transds {transds} --html /dev/stdout; echo $? >&2) | true"
+    done = subprocess.run(["sh", "-c", script], capture_output=True, text=True, check=True)
+    assert done.stderr in {"0\n", "wrote /dev/stdout\n0\n", "141\n"}
+
+
+def test_a_message_that_is_a_pipe_is_not_read_before(run, transds, tmp_path):
+    transds.write_text(LISTING_9_2)
+    assert run("transds", transds, "--ros1", tmp_path / "msgs").code == 0
+    message = next((tmp_path / "msgs/msg").iterdir())
+    message.unlink()
+    os.mkfifo(message)
+    reader = os.open(message, os.O_RDONLY | os.O_NONBLOCK)
+    assert run("transds", transds, "--ros1", tmp_path / "msgs").code == 0
+    assert os.read(reader, 1 << 16)
+    os.close(reader)
+
+
 def test_a_last_line_that_is_continued(run, transds, tmp_path):
     other = tmp_path / "other.def"
     other.write_text(LISTING_9_2.rstrip("\n") + " \\\r\n")
@@ -289,6 +361,10 @@ def test_no_two_files_have_one_name(run, transds):
     path = transds.parent / "a"
     told = failed(run, 2, "transds", transds, "--c", path, "--html", path).err
     assert f"{path} would be written twice; choose another name" in told
+    link = transds.parent / "link"
+    link.symlink_to(path)
+    told = failed(run, 2, "transds", transds, "--c", path, "--html", link).err
+    assert f"{link} would be written twice; choose another name" in told
     folder = transds.parent / "msgs"
     told = failed(run, 2, "transds", transds, "--ros1", folder, "--ros2", folder).err
     assert f"{folder}/package.xml would be written twice; choose another name" in told

@@ -94,7 +94,7 @@ class Once(_BootCase):
         for number in range(4):
             broken, request = peer.probe(), peer.request(peer.opcode(c.GET_ECHO), bytes(number))
             peer.link.send(broken.wire[: 2 + number])
-            # A device that gets no processor for a while takes it for the beginning of what follows.
+            # A device that gets no processor for a while takes it for part of what follows.
             peer.resync()
             peer.ask(request)
         if peer.has("sif"):
