@@ -22,6 +22,7 @@ from j2a.io.async_streams import AsyncSifStream, is_set_within
 from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.fleet_base import FleetBase, by_url
 from j2a.io.handlers import ErrorHook
+from j2a.io.links import join_threads_in_loop, start_or_do
 from j2a.io.loop import AsyncEngine
 from j2a.io.threads import JOIN_S
 from j2a.protocol.arguments import check_timeout
@@ -87,6 +88,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member", AsyncSifStream]):
             self._loop = asyncio.get_running_loop()
         except RuntimeError:
             raise LocalError("make a j2a.AsyncFleet in a coroutine: no event loop runs") from None
+        self._now = self._loop.time
         self._identify = identify
         self._calls = AsyncCalls(self._handler_failed)
         self._changed = asyncio.Event()  # replaced when it is set
@@ -155,7 +157,8 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member", AsyncSifStream]):
         ]
         try:
             if self._usb is not None:
-                await asyncio.to_thread(self._usb.close)
+                closing = start_or_do(self._usb.close, "j2a fleet usb closer")
+                await join_threads_in_loop(closing, _CLOSE_S)
             if busy:
                 _, late = await asyncio.wait(busy, timeout=_CLOSE_S)
                 for task in late:
@@ -300,7 +303,7 @@ class _Member(Member[AsyncClient]):
             if not heartbeat.is_silent(client.counters.frames_received):
                 continue
             try:
-                await client.echo()
+                await client.echo(timeout=self._fleet._echo_s)
                 heartbeat.answered()
             except J2AError as error:
                 if heartbeat.failed(error, is_open=client.is_open):

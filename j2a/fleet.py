@@ -20,7 +20,7 @@ from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.fleet_base import FleetBase, by_url
 from j2a.io.handlers import ErrorHook
 from j2a.io.streams import SifStream, slice_of
-from j2a.io.threads import JOIN_S, join_threads, start_thread
+from j2a.io.threads import JOIN_S, join_threads, process, start_thread
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.roster import BoardChange, Heartbeat, Member, wanted_boards
 
@@ -84,6 +84,8 @@ class Fleet(FleetBase[Client, "_Member", SifStream]):
         self._identify = identify
         self._changed = threading.Condition(self._lock)
         self._threads: list[threading.Thread] = []
+        self._running: dict[_Member, None] = {}  # also those that were taken out and still end
+        self._process = process.pid
         try:
             for url in urls:
                 self.add(url)
@@ -152,8 +154,10 @@ class Fleet(FleetBase[Client, "_Member", SifStream]):
         """Close all boards. May be called twice, and by handlers.
 
         A board that is just being opened is given up in its own thread, at the latest after
-        `boot_time`.
+        `boot_time`. In a child process it does nothing: the boards are the parent's.
         """
+        if process.pid != self._process:
+            return  # another thread may have held the lock when the process was forked
         with self._lock:
             if self._roster.is_closed:
                 return
@@ -165,7 +169,8 @@ class Fleet(FleetBase[Client, "_Member", SifStream]):
             member.ask_to_stop()
         # A thread that waits for this one cannot end before.
         current = threading.current_thread()
-        boards = [one.thread for one in members if one.is_open and one.dispatcher is not current]
+        running = list(self._running)
+        boards = [one.thread for one in running if one.is_open and one.dispatcher is not current]
         join_threads([*self._threads, *boards], JOIN_S)
         self._finish()
 
@@ -215,11 +220,18 @@ class _Member(Member[Client]):
         self.dispatcher: object = None
 
     def start(self) -> None:
-        self.thread = start_thread(self._run, f"j2a fleet {self.url}")
+        self.thread = start_thread(self._work, f"j2a fleet {self.url}")
 
     def ask_to_stop(self) -> None:
         super().ask_to_stop()
         self._wake.ring()
+
+    def _work(self) -> None:
+        self._fleet._running[self] = None
+        try:
+            self._run()
+        finally:
+            del self._fleet._running[self]
 
     def _run(self) -> None:
         fleet = self._fleet
@@ -238,13 +250,13 @@ class _Member(Member[Client]):
                 reason = error
             except BaseException as error:  # of `identify`, which is the user's; also sys.exit()
                 reason = LocalError(f"identify failed: {type(error).__name__}: {error}")
-            self.is_open = False
             fleet._tell(fleet._go(self, board, reason))
             self._wake.wait(0)  # the end of that client has rung it
             if not self.is_stopped:
                 self._wake.wait(min(fleet._retry_s, threading.TIMEOUT_MAX))
 
     def _connect(self) -> Client:
+        self.is_open = False
         client = connect(self.url, timeout=self._fleet._timeout, boot_time=self._fleet._boot_time)
         client._handlers.at_end(lambda reason: self._wake.ring())
         return client
@@ -259,7 +271,7 @@ class _Member(Member[Client]):
             if not heartbeat.is_silent(client.counters.frames_received):
                 continue
             try:
-                client.echo()
+                client.echo(timeout=self._fleet._echo_s)
                 heartbeat.answered()
             except J2AError as error:
                 if heartbeat.failed(error, is_open=client.is_open):

@@ -56,14 +56,16 @@ class VirtualBoard(Device):
         self._sensors = [one for one in known.transducers if one.is_sensor]
         self._ended = Flag()
         self._thread: threading.Thread | None = None
+        self._starting = threading.Lock()
         for one in self._sensors:
             if one.has("trigger"):
                 self.on_trigger(one.name)(lambda one=one: self._measure(one))
 
     def measure(self) -> None:
         """Begin to measure; `stop` ends it. May be called twice."""
-        if self._thread is None:
-            self._thread = start_thread(self._work, "j2a waves")
+        with self._starting:
+            if self._thread is None:
+                self._thread = start_thread(self._work, "j2a waves")
 
     def stop(self) -> None:
         """End as `Device.stop`, and measure no more."""

@@ -41,6 +41,8 @@ class AsyncCalls:
         self, handlers: Iterator[Callable[[Any], Any]], event: object
     ) -> Awaitable[object] | None:
         for handler in handlers:
+            if self.are_over:
+                break
             try:
                 result = handler(event)
             except _CAUGHT as error:
@@ -48,8 +50,6 @@ class AsyncCalls:
             else:
                 if result is not None and inspect.isawaitable(result):
                     return result
-            if self.are_over:
-                break
         return None
 
     async def _go_on(
@@ -63,4 +63,4 @@ class AsyncCalls:
                 await waits
             except _CAUGHT as error:
                 self._failed(error, event)
-            waits = None if self.are_over else self._until_one_waits(handlers, event)
+            waits = self._until_one_waits(handlers, event)

@@ -53,8 +53,8 @@ class Engine(EngineBase[SifStream]):
         self._state = threading.Lock()
         self._closing = threading.RLock()
         self._link = LinkThreads(self._transport, self._receive, self._judge, self._end)
-        self.dispatcher = start_thread(self._dispatch, f"j2a handlers {self._transport.url}")
         try:
+            self.dispatcher = start_thread(self._dispatch, f"j2a handlers {self._transport.url}")
             self._link.start()
         except LinkError as error:
             self._end(error)
@@ -313,9 +313,9 @@ class Engine(EngineBase[SifStream]):
         restart, handlers = restarted(restart)
         del restarted  # it keeps the client alive
         for handler in handlers.matching():
-            self._call_handler(handler, restart)
-            if self._drops_sifs:
+            if self._drops_sifs:  # since a handler, or while the device was asked
                 return
+            self._call_handler(handler, restart)
 
     def _call_handler(self, handler: Callable[[Any], object], event: Sif | Restart) -> None:
         try:

@@ -5,12 +5,10 @@ boards that are here as a mapping, and who takes samples and changes.
 Rule: the lock guards the roster; nothing waits while it is held.
 """
 
-import contextlib
 import logging
 import math
 import threading
 from abc import abstractmethod
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from time import monotonic
 from typing import Any, Generic, TypeVar
@@ -97,10 +95,14 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
         self._heartbeat_s = math.inf if heartbeat is None else check_timeout(heartbeat)
         self._reporter = Reporter(on_handler_error)
         self._lock = threading.RLock()
+        self._now: Callable[[], float] = monotonic
         self._roster: Roster[_MemberT] = Roster()
-        self._samples: defaultdict[str | None, Handlers[Any]] = defaultdict(Handlers)
+        self._samples: dict[str | None, Handlers[Any]] = {}
         self._changes: Handlers[Any] = Handlers()
         self._usb: j2a_transports.UsbWatch | None = None
+        self._end: LinkClosed | None = None
+        # Where calls have no time limit, silence has one nevertheless.
+        self._echo_s = self._heartbeat_s if self._timeout == math.inf else self._timeout
 
     # ------------------------------------------------------------------ boards
 
@@ -202,7 +204,7 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
         Returns: an object whose `cancel()` ends it.
         """
         with self._lock:
-            return self._samples[name].add(None, handler)
+            return self._samples_of(name).add(None, handler)
 
     def samples(self, name: str | None = None, *, max_waiting: int = MAX_SIFS) -> _StreamT:
         """Return the samples of all boards that come from now on, to iterate over.
@@ -214,7 +216,13 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
             max_waiting: so many may wait; then the oldest are dropped, and counted in `lost`.
         """
         with self._lock:
-            return self._stream(self._samples[name], max_waiting)
+            return self._stream(self._samples_of(name), max_waiting)
+
+    def _samples_of(self, name: str | None) -> Handlers[Any]:
+        handlers = self._samples.setdefault(name, Handlers())
+        if self._end is not None:
+            handlers.finish(self._end)
+        return handlers
 
     def changes(self, *, max_waiting: int = MAX_SIFS) -> _StreamT:
         """Return the changes from now on, to iterate over: `BoardChange`s, as of `on_change`."""
@@ -224,7 +232,7 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
         return self._stream_class(
             handlers,
             None,
-            monotonic,
+            self._now,
             max_waiting=max_waiting,
             dispatcher=None,
             slice_s=slice_of(is_simulated=False),
@@ -277,6 +285,7 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
         """Tell those who wait for samples or changes that none will come any more."""
         reason = LinkClosed("the fleet was closed", outcome=Outcome.NOT_SENT)
         with self._lock:
+            self._end = reason
             handlers = [*self._samples.values(), self._changes]
         for one in handlers:
             one.finish(reason)
@@ -319,5 +328,9 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT, _StreamT]):
 
 def _try(change: Callable[[str], None], url: str) -> None:
     """Follow a board on the USB, unless the user has given its URL, too, or has removed it."""
-    with contextlib.suppress(LocalError):
+    try:
         change(url)
+    except LocalError:
+        pass
+    except OpenFailed as error:  # the system has no thread to give
+        _logger.warning("%s was plugged in, but is not opened: %s", url, error)

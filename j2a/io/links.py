@@ -11,24 +11,35 @@ taken, so a flood stays in the transport.
 import asyncio
 import contextlib
 import threading
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.io.opening import WAIT_S, link_error
-from j2a.io.threads import PIECE, LinkThreads, Writer, clock_of
+from j2a.io.threads import PIECE, LinkThreads, Writer, clock_of, join_threads, start_thread
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["IN_FLIGHT", "AsyncLink", "ThreadedLink", "WatchedLink"]
+__all__ = [
+    "IN_FLIGHT",
+    "AsyncLink",
+    "ThreadedLink",
+    "WatchedLink",
+    "join_threads_in_loop",
+    "start_or_do",
+]
 
 IN_FLIGHT: Final = 4 * PIECE
 """So many bytes may be on their way from the reading thread to the event loop."""
 
 _LOOK_S: Final = 1.0
 """How long a look at a descriptor may take; it takes some turns of the event loop."""
+
+_JOIN_STEP_S: Final = 0.002
+"""An event loop that waits for threads looks at them so often."""
 
 _Item = bytes | float | LinkError | LocalError
 """Received bytes, a time until which everything was received, or why the link has ended."""
@@ -232,3 +243,20 @@ class ThreadedLink(AsyncLink):
             self._looked(item)
         else:
             self._ended(item)
+
+
+async def join_threads_in_loop(threads: Sequence[threading.Thread], limit_s: float) -> None:
+    """Wait as `join_threads`, without the executor of the loop, which may be busy for ever."""
+    end = time.monotonic() + limit_s
+    while any(thread.is_alive() for thread in threads) and time.monotonic() < end:
+        await asyncio.sleep(_JOIN_STEP_S)
+    join_threads(threads, 0.0)
+
+
+def start_or_do(work: Callable[[], None], name: str) -> list[threading.Thread]:
+    """Do something that may wait in a thread, which is returned; here, where there is none."""
+    try:
+        return [start_thread(work, name)]
+    except LinkError:  # better late than never
+        work()
+        return []

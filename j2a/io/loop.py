@@ -20,8 +20,8 @@ from j2a.events import Reply, Restart, Sif
 from j2a.io.async_calls import AsyncCalls
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.engine_base import MAX_SIFS_WAITING, EngineBase
-from j2a.io.links import ThreadedLink, WatchedLink
-from j2a.io.threads import JOIN_S, LOOK_S, join_threads, start_thread
+from j2a.io.links import ThreadedLink, WatchedLink, join_threads_in_loop, start_or_do
+from j2a.io.threads import JOIN_S, LOOK_S
 from j2a.protocol.session import Call, Event
 
 __all__ = ["AsyncEngine"]
@@ -142,7 +142,7 @@ class AsyncEngine(EngineBase[AsyncSifStream]):
         if self._loop.is_closed():
             self._session.close(reason)
             self._link.abandon("was closed by this program")
-            await asyncio.to_thread(join_threads, self._link.threads, JOIN_S)
+            await join_threads_in_loop(self._link.threads, JOIN_S)
             return
         if asyncio.get_running_loop() is not self._loop:
             self._refuse_loop()
@@ -152,7 +152,7 @@ class AsyncEngine(EngineBase[AsyncSifStream]):
                 await self._deliver_what_came()
         finally:
             self._finish(reason)
-        await asyncio.to_thread(join_threads, self._link.threads, JOIN_S)
+        await join_threads_in_loop(self._link.threads, JOIN_S)
         if not is_handler and not self.dispatcher.done():
             _logger.warning(
                 "a SIF handler of %s is cancelled: it waits after close", self._transport.url
@@ -332,7 +332,4 @@ class AsyncEngine(EngineBase[AsyncSifStream]):
         self._link.stop()
         # Closing may wait, for a child process to end for example.
         name = f"j2a closer {self._transport.url}"
-        try:
-            self._link.threads.append(start_thread(self._transport.close, name))
-        except LinkError:  # better late than open for ever
-            self._transport.close()
+        self._link.threads += start_or_do(self._transport.close, name)

@@ -344,8 +344,9 @@ class LinkThreads:
 
 def clock_of(transport: Transport) -> Callable[[], float]:
     """Return the clock of a transport; directly that of the machine, where it is that one."""
-    is_machine = type(transport).clock is Transport.clock
-    return time.monotonic if is_machine else transport.clock
+    clock = transport.clock  # perhaps that of a transport within
+    is_machine = getattr(clock, "__func__", None) is Transport.clock
+    return time.monotonic if is_machine else clock
 
 
 def start_thread(target: Callable[[], None], name: str) -> threading.Thread:

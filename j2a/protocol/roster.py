@@ -105,6 +105,7 @@ class Roster(Generic[_MemberT]):
         member = self.here.get(board) or self.members.get(board)
         if member is None:
             raise UnknownBoard(f"the fleet has no board {board!r:.80}")
+        member.is_stopped = True  # before anybody else sees the roster without it
         self.members.pop(member.url, None)
         self.here = {name: one for name, one in self.here.items() if one is not member}
         return member
@@ -189,6 +190,8 @@ class Roster(Generic[_MemberT]):
         """Take no more; return the members, which shall end."""
         self.is_closed = True
         members = list(self.members.values())
+        for member in members:
+            member.is_stopped = True
         self.members.clear()
         return members
 

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import j2a_transports
 import pytest
@@ -357,6 +358,23 @@ class TestDropped:
             thread.join(PATIENCE_S)
             assert not thread.is_alive()
         asyncio.run(client.close())
+
+
+def test_the_asyncio_client_needs_nobody_elses_threads_to_close():
+    gate = threading.Event()
+
+    async def main(url):
+        loop = asyncio.get_running_loop()
+        loop.set_default_executor(ThreadPoolExecutor(1))
+        client = await j2a.aconnect(url)
+        busy = loop.run_in_executor(None, gate.wait, PATIENCE_S)
+        await client.close()
+        assert not busy.done()
+        gate.set()
+        await busy
+
+    with served(j2a.Device(), "tcp://127.0.0.1:0") as url:
+        asyncio.run(main(url))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")

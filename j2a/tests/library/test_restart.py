@@ -954,3 +954,39 @@ class TestTransducers:
             assert client.clock.host_time_of_sample(1) is None
             client.clock.measure()
             assert client.clock._is_fresh
+
+
+class TestClosedWhileTheDeviceIsAsked:
+    """A board that restarts and says no more: `close` has ended before it is known what it has."""
+
+    def test_no_handler_is_called_any_more(self, monkeypatch):
+        monkeypatch.setattr("j2a.io.blocking.JOIN_S", 0.05)
+        seen = []
+        with connected(old_firmware()) as (board, client):
+            client.on_restart(seen.append)
+            board.is_mute = True
+            board.sif(BOOT, boot_payload(new_firmware()))
+            while not client.counters.restarts:
+                pass
+            dispatcher = client._engine.dispatcher
+            client.close()
+            dispatcher.join(PATIENCE_S)
+            assert not dispatcher.is_alive()
+        assert seen == []
+
+    def test_nor_by_the_asyncio_client(self, monkeypatch):
+        monkeypatch.setattr("j2a.io.loop.JOIN_S", 0.05)
+        seen = []
+
+        async def main():
+            async with aconnected(old_firmware()) as (board, client):
+                client.on_restart(seen.append)
+                board.is_mute = True
+                board.sif(BOOT, boot_payload(new_firmware()))
+                while not client.counters.restarts:
+                    await asyncio.sleep(0)
+                await client.close()
+                await asyncio.wait([client._engine.dispatcher], timeout=PATIENCE_S)
+
+        in_loop(main())
+        assert seen == []

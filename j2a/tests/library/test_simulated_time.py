@@ -11,6 +11,7 @@ import j2a_transports
 import pytest
 from j2a_spec import oracle
 from j2a_spec.constants import SOF
+from j2a_transports import faults
 
 import j2a
 
@@ -237,3 +238,22 @@ def test_a_descriptor_does_not_end_simulated_time():
                 await client.call(1, timeout=1.0)
 
     asyncio.run(run())
+
+
+def test_behind_faults_time_is_that_of_the_link():
+    device = SlowDevice(3.0)
+    with j2a.Client(faults.wrap(device)) as client:
+        assert client.now() == device.now_s
+        with pytest.raises(j2a.CallTimeout):
+            client.call(1, timeout=1.0)
+        assert client.call(1, timeout=20.0).payload == b"done"
+
+    async def main():
+        device = SlowDevice(3.0)
+        async with j2a.AsyncClient(faults.wrap(device)) as client:
+            assert client.now() == device.now_s
+            with pytest.raises(j2a.CallTimeout):
+                await client.call(1, timeout=1.0)
+            assert (await client.call(1, timeout=20.0)).payload == b"done"
+
+    asyncio.run(asyncio.wait_for(main(), PATIENCE_S))

@@ -44,8 +44,11 @@ class TestTooManyThreads:
                 j2a.connect(url)
             assert failed.value.outcome is j2a.Outcome.NOT_SENT
             started.clear()
-            with j2a_transports.open(url) as transport, pytest.raises(j2a.OpenFailed):
-                j2a.Client(transport)
+            with j2a_transports.open(url) as transport:
+                with pytest.raises(j2a.OpenFailed):
+                    j2a.Client(transport)
+                with pytest.raises(j2a_transports.LinkClosed):
+                    transport.read(0)
             for thread in started:
                 thread.join(PATIENCE_S)
                 assert not thread.is_alive()

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import j2a
 from j2a.tests.library.support import PATIENCE_S, linked
+from j2a.tests.library.wire import Background
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard, wave
 
@@ -127,6 +128,30 @@ class TestVirtualBoards:
                 device.measure()
             device.measure()
             assert device._thread.is_alive()
+
+    def test_it_measures_once_whoever_begins(self, monkeypatch):
+        begun, goes_on, start = threading.Event(), threading.Event(), threading.Thread.start
+
+        def slow(thread):
+            start(thread)
+            if thread.name == "j2a waves":
+                begun.set()
+                goes_on.wait(PATIENCE_S)
+
+        def waves():
+            return [one for one in threading.enumerate() if one.name == "j2a waves"]
+
+        before = len(waves())
+        with VirtualBoard(read_transds(FILE)) as device:
+            monkeypatch.setattr(threading.Thread, "start", slow)
+            first = Background(device.measure)
+            assert begun.wait(PATIENCE_S)
+            second = Background(device.measure)
+            second.join(0.05)
+            assert len(waves()) == before + 1
+            goes_on.set()
+            first.result()
+            second.result()
 
     def test_two_sensors_are_triggered_at_one_time(self):
         """Neither measures before, and both once; each request would do so at a time of its own."""
