@@ -478,6 +478,7 @@ def test_what_is_known_does_not_change_amid_an_answer(board, monkeypatch, off_us
     """Another thread finds that the board has restarted, while this one converts a time."""
     clock = board.clock
     clock.sync(8)
+    time.sleep(0.01 + 3e-6 * clock.uncertainty_us)  # now is behind the step on both clocks
     observe = clock._host.observe
     others = []
 
