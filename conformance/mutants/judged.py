@@ -13,7 +13,7 @@ import hashlib
 import json
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -30,12 +30,14 @@ JUDGED: Final = FOLDER / "judged.json"
 _JUDGES: Final = (
     *(
         "conformance/j2a_conformance",
-        "conformance/hosts",
         "conformance/testees",
         "conformance/mutants",
     ),
     *("spec/j2a_spec", "transports/j2a_transports", "constraints.txt"),
 )
+_HOSTS: Final = "conformance/hosts"
+# The suite has two sides, and neither imports the other.
+_OTHER_SIDE: Final = {"core": "host", "device": "host", "host": "device"}
 _SIMULATOR: Final = "firmware/sim/j2a_sim"
 _NOT_SOURCES: Final = {".pyc", ".so", ".o", ".d"}
 # Of the tables only the entry of the mutant itself counts, and no mutant is judged as a testee.
@@ -76,18 +78,28 @@ def is_due(target: str, mutant: Mutant, kills: Kills, cases: Mapping[str, Sequen
 def digest(target: str, mutant: Mutant, case: str) -> str:
     """Return the hash of everything that the verdict of a case on a mutant depends on."""
     port = mutant.port if target == "core" else ""
-    shared = (*TARGETS[target], *_JUDGES, *([_SIMULATOR] if port not in ("", "posix") else ()))
+    shared = [_hash_of(name, _OTHER_SIDE[target]) for name in _shared(target, port)]
     behind = _hashes_behind(_modules(target)[case])
-    parts = [repr(mutant), case, *map(_hash_of, shared), *behind, _versions(port)]
+    parts = [repr(mutant), case, *shared, *behind, _versions(port)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
 
 
 def freeze() -> None:
     """Take all hashes now: what is edited while mutants are judged must not seem to be judged."""
-    for name in {*_JUDGES, _SIMULATOR, *(name for names in TARGETS.values() for name in names)}:
-        _hash_of(name)
+    for target in TARGETS:
+        for name in _shared(target, "avr-serial"):
+            _hash_of(name, _OTHER_SIDE[target])
     for module in {module for target in TARGETS for module in _modules(target).values()}:
         _hashes_behind(module)
+
+
+def _shared(target: str, port: str) -> Iterator[str]:
+    """Yield the files and folders that all verdicts on a target depend on."""
+    yield from (*TARGETS[target], *_JUDGES)
+    if target == "host":
+        yield _HOSTS
+    if port not in ("", "posix"):
+        yield _SIMULATOR
 
 
 @cache
@@ -98,15 +110,16 @@ def _modules(target: str) -> dict[str, str]:
 
 
 @cache
-def _hash_of(name: str) -> str:
-    """Return the hash of a file, or of the files of a folder but the cases and the tests."""
+def _hash_of(name: str, without: str) -> str:
+    """Return the hash of a file, or of the files of a folder but cases, tests and one side."""
     top = ROOT / name
     total = hashlib.sha256()
     for path in sorted(top.rglob("*")) if top.is_dir() else [top]:
         inside = path.relative_to(ROOT)
         if path.suffix in _NOT_SOURCES or "tests" in inside.parts or not path.is_file():
             continue
-        if inside.parts[1:2] == ("j2a_conformance",) and inside.parent.name == "cases":
+        is_suite = inside.parts[1:2] == ("j2a_conformance",)
+        if is_suite and (inside.parent.name == "cases" or inside.parts[2] == without):
             continue
         if path.suffix != ".py" and inside.as_posix().startswith(_TABLES):
             continue

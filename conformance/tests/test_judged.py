@@ -21,7 +21,8 @@ def forget():
 def checkout(tmp_path_factory):
     """A copy of everything that verdicts depend on."""
     copied = tmp_path_factory.mktemp("checkout")
-    for name in {*judged._JUDGES, judged._SIMULATOR, *TARGETS["core"], *TARGETS["host"]}:
+    shared = {*judged._JUDGES, judged._HOSTS, judged._SIMULATOR}
+    for name in {*shared, *TARGETS["core"], *TARGETS["host"]}:
         (copied / name).parent.mkdir(parents=True, exist_ok=True)
         if (ROOT / name).is_dir():
             ignored = shutil.ignore_patterns("__pycache__", "build")
@@ -68,7 +69,7 @@ DEVICE_CASES = "conformance/j2a_conformance/device/cases"
         *("firmware/ports/posix/port.mk", "firmware/apps/demo/functions.def"),
         *(f"{DEVICE_CASES}/stuffing.py", f"{DEVICE_CASES}/__init__.py"),
         "conformance/j2a_conformance/_runner.py",
-        *("conformance/mutants/targets.py", "conformance/hosts/client.py"),
+        *("conformance/mutants/targets.py", "conformance/j2a_conformance/device/_peer.py"),
         *("spec/j2a_spec/oracle.py", "spec/j2a_spec/vectors/scenario.json"),
         *("transports/j2a_transports/_registry.py", "constraints.txt"),
     ],
@@ -101,6 +102,34 @@ def test_other_mutants_and_testees_do_not_count(checkout, hashed, file):
     before = hashed()
     with changed(checkout / file):
         assert hashed() == before
+
+
+@pytest.mark.parametrize(
+    ("file", "is_of_hosts"),
+    [
+        ("conformance/j2a_conformance/host/_host.py", True),
+        ("conformance/hosts/client.py", True),
+        ("conformance/j2a_conformance/device/_peer.py", False),
+    ],
+)
+def test_one_side_of_the_suite_does_not_count_for_the_other(checkout, hashed, file, is_of_hosts):
+    of_host = {"mutant": find("host-frame-001")[0], "target": "host", "case": "host.start"}
+    before = hashed(), hashed(**of_host)
+    with changed(checkout / file):
+        assert [hashed() != before[0], hashed(**of_host) != before[1]] == [
+            not is_of_hosts,
+            is_of_hosts,
+        ]
+
+
+def test_neither_side_of_the_suite_imports_the_other():
+    top = ROOT / "conformance/j2a_conformance"
+    for side, other in (("device", "host"), ("host", "device")):
+        for path in (top / side).rglob("*.py"):
+            text = path.read_text("utf-8")
+            assert f"j2a_conformance.{other}" not in text, path
+            assert f"from ..{other}" not in text, path
+            assert f"from ...{other}" not in text, path
 
 
 def test_the_simulator_counts_for_what_runs_in_it(checkout, hashed):
