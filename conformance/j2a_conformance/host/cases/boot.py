@@ -9,11 +9,12 @@ from j2a_spec.grammar import BOOT
 
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import PING, Device
+from j2a_conformance.host._device import FETCH, PING, STORE, Device
 from j2a_conformance.host._dimensions import frame
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Outcome, Request, Sifs, spell
 
+from .seq import BARRIER_AGAIN_MS, _Stalled
 from .types import described
 
 _ADD = "add(a i32, b i32) i32\n"
@@ -30,6 +31,17 @@ def booting(functions: str = _ADD, before: int = 0, **changes: str) -> Device:
 
 
 BOOTING: Final = booting()
+
+
+def _without_debug(device: Device) -> Device:
+    """Return the same device without a2jDebug, so that all behind it have other opcodes."""
+    names = tuple(name for name in device.names if name != c.GET_DEBUG)
+    interface = (device.interface or b"").replace(f"\n{c.GET_DEBUG}\n".encode(), b"\n")
+    properties = dict(device.properties or ()) | {c.PROP_INTERFACE: oracle.crc(interface)}
+    return replace(device, names=names, interface=interface, properties=tuple(properties.items()))
+
+
+_LEAN: Final = _without_debug(BOOTING)
 
 
 def _payload(device: Device, cause: int = c.BOOT_WATCHDOG, count: int = 2) -> bytes:
@@ -173,6 +185,86 @@ class Map(_BootCase):
             request = host.request(host.device.opcode("add"), numbers)
             host.reply(request, c.RET_OK, (42).to_bytes(4, "little"))
             host.outcome("values 42")
+
+
+class Stalled(_Stalled):
+    """Leaves 256 calls and the barrier without an answer, restarts as firmware with a2jEcho at
+    another opcode, and waits until another barrier might come; answers a call at last.
+    """
+
+    ID = "host.boot.stalled"
+    EXPECTATION = "No barrier by an opcode of before; by name calls go to the new one."
+    REQUIREMENTS = ("J2A-BOOT-005", "J2A-SEQ-006")
+    LEVEL = "boot"
+    DEVICE = BOOTING
+
+    def _run(self, host: Host) -> None:
+        host.do("restarts", "restarts")
+        given_up, _ = self.stall(host)
+        boot(host, _LEAN)
+        if host.requests(1, BARRIER_AGAIN_MS / min(host.link.scale, 1.0)):
+            fail("a request came, though no seq is free and no opcode is known (J2A-SEQ-006)")
+        host.reply(given_up[-1], c.RET_OK, b"late")
+        self.ended(host)
+        for name, code in ((c.GET_ECHO, c.ECHO), (PING, c.RET_OK)):
+            host.job(f"call {name} aa {host.limit_ms}")
+            host.reply(host.request(_LEAN.opcode(name), b"\xaa"), code, b"\xaa")
+            host.replied_with(code, b"\xaa")
+
+
+class Transfers(_BootCase):
+    """Restarts between the reply to a chunk and the next request of reads and writes, as firmware
+    with the functions at other opcodes; leaves what still comes by an old opcode without a reply.
+    """
+
+    ID = "host.boot.transfers"
+    EXPECTATION = "No chunk goes to an opcode of before; the transfer ends, or begins anew."
+    REQUIREMENTS = ("J2A-BOOT-005", "J2A-BOOT-004")
+
+    def _judge(self, host: Host) -> None:
+        data = bytes(range(50))
+        content = data * 40
+        for number, device in enumerate((booting(before=1), booting(before=3), _LEAN, BOOTING)):
+            old, new = replace(host.device, content=content), replace(device, content=content)
+            for name, job in ((FETCH, f"read {FETCH}"), (STORE, f"write {STORE} 40*{data.hex()}")):
+                host.become(old)
+                host.job(f"{job} {host.limit_ms}")
+                for _ in range(number):
+                    self._chunk(host, name)
+                host.device = new
+                host.reset_sifs()
+                boot_sif = host.sif(c.BOOT, _payload(new))
+                self._chunk(host, name, old, boot_sif)
+                self._ended(host, name)
+
+    @staticmethod
+    def _chunk(host: Host, name: str, device: Device | None = None, behind: bytes = b"") -> None:
+        """Answer a chunk, as this device, with more behind the reply in one piece."""
+        device = device or host.device
+        request = host.request(device.opcode(c.MANY))
+        if request.payload[0] != device.opcode(name):
+            fail(f"the chunk is for the opcode {request.payload[0]}, not for {name}")
+        code, payload = device.answer(request.opcode, request.payload)
+        host.send(request.reply(code, payload) + behind)
+        host.replied(request, code)
+
+    @staticmethod
+    def _ended(host: Host, name: str) -> None:
+        """Wait for the end of the transfer.
+
+        A request that was sent before the boot SIF had come ends at once without a reply; one that
+        was sent behind it waits for its time limit.
+        """
+        device, due = host.device, 0
+        while (request := host.request_or_end()) is not None:
+            chunk = request.payload
+            if request.opcode == device.opcode(c.MANY) and chunk[0] == device.opcode(name):
+                if due == 0 and chunk[2:6] != bytes(4):
+                    fail("a transfer that began before the restart goes on behind it")
+                due += 1
+                host.reply(request, *device.answer(request.opcode, chunk))
+        if host.outcome("restarted", "data", "written").word != "restarted" and not due:
+            fail("the transfer is said to be done, though the device has restarted amid it")
 
 
 _CHANGED: Final = (

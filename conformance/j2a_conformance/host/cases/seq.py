@@ -16,7 +16,7 @@ _EARLY = 200
 _FREED = 10
 _BARRIER_MS = 200.0
 _REPLACED_S = 0.5  # of 1 s; a busy machine may take the first barrier late
-_REPLACED_MS = 1300.0
+BARRIER_AGAIN_MS = 1300.0
 
 
 def stray(seq: int, payload: bytes = b"stray", start: int = c.SOF) -> bytes:
@@ -133,7 +133,7 @@ class Stalled(_Stalled):
             host.send(found.reply(c.RET_OK, nonce) + found.reply(c.ERR_CHECKSUM, nonce))
             host.send(host.sif(c.ECHO, nonce) + found.reply(c.ECHO, b""))
             # The 1 s of a host is fixed by the protocol, whatever the scale of other times.
-            other = barrier(host, _REPLACED_MS / min(host.link.scale, 1.0))
+            other = barrier(host, BARRIER_AGAIN_MS / min(host.link.scale, 1.0))
             if other is not None:
                 if host.link.now_s() - began_s < _REPLACED_S:
                     fail("a second barrier came before 1 s was over (J2A-SEQ-007)")
