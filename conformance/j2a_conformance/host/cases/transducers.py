@@ -71,10 +71,12 @@ BOARD: Final = _device(_TEXT)
 _FOUND: Final = oracle.parse(BOARD.transds or b"")
 
 
-def sample(name: str, readings: Sequence[tuple[int, Any]]) -> tuple[int, bytes]:
+def sample(
+    name: str, readings: Sequence[tuple[int, Any]], found: oracle.Descriptors = _FOUND
+) -> tuple[int, bytes]:
     """Return opcode and payload of a sample SIF of a sensor without a queue."""
-    one = _FOUND.transducers[name]
-    payload: bytes = oracle.sample(one, _FOUND.definitions).build([list(r) for r in readings])
+    one = found.transducers[name]
+    payload: bytes = oracle.sample(one, found.definitions).build([list(r) for r in readings])
     return one.id, payload
 
 
