@@ -29,6 +29,7 @@ _S: Final = 1_000_000
 _ROUNDS: Final = 12
 _MOST: Final = 500  # requests in a job
 _WRONG_US: Final = (0, 100_000, 1_500_000, 2_500_000, 10 * _S)  # with room for what a link adds
+_ANEW_US: Final = (0, 1_500_000, 2_500_000, -10 * _S, 0)  # 0: nothing has set it since the reset
 BOARD: Final = replace(
     DEMO,
     names=(*c.BUILTINS, c.CLOCK, PING, FETCH, STORE),
@@ -104,6 +105,10 @@ class _Scripted:
         """Begin anew, without saying so."""
         self.start_us = 1000
         self._began_s = self.host.link.now_s()
+        self.forget()
+
+    def forget(self) -> None:
+        """Have a clock that nothing has set, while the local time goes on."""
         self._clock = Clock()
 
     def set_wrong(self, by_us: int) -> None:
@@ -193,6 +198,14 @@ class _ClockCase(HostCase):
             fail(f"no ADJUST came after {why}")
         if any(adjust.uncertainty < 0.02 * _S for adjust in device.adjusts):
             fail(f"ADJUST rests on exchanges from before {why}")
+
+    def _modes(self, device: _Scripted, first: int, what: str) -> None:
+        """Have the host set the clock; the first ADJUST has this mode, the others are SLEW."""
+        device.adjusts.clear()
+        self._sync(device, "clock")
+        modes = [adjust.mode for adjust in device.adjusts]
+        if not modes or modes != [first, *[c.CLOCK_SLEW] * (len(modes) - 1)]:
+            fail(f"ADJUST has the modes {modes} {what}")
 
     @staticmethod
     def _uncertain(device: _Scripted, slack_s: float) -> None:
@@ -330,7 +343,8 @@ class Resets(_ClockCase):
 
 
 class Modes(_ClockCase):
-    """Is free, follows the host, is alone for long, and was set by something else.
+    """Is free, follows the host, is alone for long, is reset, and was set by something else, before
+    the host knew it and behind a reset.
 
     What a host does when the clock of its own machine is set, which no suite may do, tests of the
     library show.
@@ -341,11 +355,23 @@ class Modes(_ClockCase):
     REQUIREMENTS = ("J2A-CLOCK-028",)
 
     def _run(self, host: Host) -> None:
+        step_us = c.CLOCK_FRAME_STEP_S * _S
         device = _Scripted(host)
         for state in (None, c.CLOCK_HOLDOVER, c.CLOCK_SETTLING, c.CLOCK_LOCKED):
             device.state = state
             self._modes(device, c.CLOCK_SLEW, f"to a device in the state {state or 0}")
-        step_us = c.CLOCK_FRAME_STEP_S * _S
+        device.state = None
+        for by_us in _ANEW_US:
+            device.reset()
+            if by_us:
+                device.set_wrong(by_us)
+            mode = c.CLOCK_STEP if abs(by_us) >= step_us else c.CLOCK_SLEW
+            self._modes(device, mode, f"to a clock that was reset, and is wrong by {by_us} us")
+        device.refuses = True
+        self._sync(device, rounds=1)
+        device.refuses = False
+        device.forget()
+        self._modes(device, c.CLOCK_SLEW, "to a clock that is free since it answered BAD_VALUE")
         for wrong_us in (*_WRONG_US, 3600 * _S):
             for by_us in (wrong_us, -wrong_us):
                 host.become(DEMO)
@@ -354,14 +380,6 @@ class Modes(_ClockCase):
                 device.set_wrong(by_us)
                 mode = c.CLOCK_STEP if wrong_us >= step_us else c.CLOCK_SLEW
                 self._modes(device, mode, f"to a clock that is wrong by {by_us} us")
-
-    def _modes(self, device: _Scripted, first: int, what: str) -> None:
-        """Have the host set the clock; the first ADJUST has this mode, the others are SLEW."""
-        device.adjusts.clear()
-        self._sync(device, "clock")
-        modes = [adjust.mode for adjust in device.adjusts]
-        if not modes or modes != [first, *[c.CLOCK_SLEW] * (len(modes) - 1)]:
-            fail(f"ADJUST has the modes {modes} {what}")
 
 
 class Single(_ClockCase):

@@ -89,11 +89,13 @@ def _told(turnaround: int) -> _Spoilt:
 
 
 class Boots(_ClockCase):
-    """Sends a boot SIF between exchanges, behind which the received times go on."""
+    """Sends a boot SIF between exchanges, behind which the received times go on, with a clock that
+    goes on, too, or is free; and one behind which they begin anew.
+    """
 
     ID = "host.clock.boots"
-    EXPECTATION = "No ADJUST that rests on exchanges from before the boot SIF."
-    REQUIREMENTS = ("J2A-CLOCK-026",)
+    EXPECTATION = "No ADJUST that rests on what was before the boot SIF, and none sets the clock."
+    REQUIREMENTS = ("J2A-CLOCK-026", "J2A-CLOCK-028")
     DEVICE: Device = _BOOTING
 
     def _run(self, host: Host) -> None:
@@ -102,7 +104,16 @@ class Boots(_ClockCase):
         for _ in range(2):
             device.delay_s = 0.0
             self._sync(device, "clock", rounds=2 * _ROUNDS)
-            host.asked(b"waits")
-            boot(host)
-            host.outcome("restarted")
+            self._boot(host)
             self._forgotten(device, "a boot SIF")
+        device.delay_s = 0.0
+        for begin in (device.forget, device.reset):
+            self._boot(host)
+            begin()
+            self._modes(device, c.CLOCK_SLEW, "to a clock that is free since a boot SIF")
+
+    @staticmethod
+    def _boot(host: Host) -> None:
+        host.asked(b"waits")
+        boot(host)
+        host.outcome("restarted")
