@@ -373,8 +373,26 @@ class Endless(HostCase):
             _raw_calls_work(host)
 
 
+_FLAGS = (
+    "!later", "!later()", "!later( )", "!later(1, x)", "!later(()", "!later(a(b)", "!later(#)",
+    "!later(x # y)", "!later( !slow(5)", "!later(\"'*+~)", "!_", "!L4ter_", f"!{'x' * 32}",
+    "!slower(5)", "!slow_", "!Slow(5)", "!Idempotent", "!idempotent2",
+)  # fmt: skip
+_KINDS = (
+    "union later (a u8) = 7", "later ", "l x", "_ (", "Enum m u8 (a=1)", "enum2 s (", "Struct s ()",
+    "structs s", "sif_ beat 256", f"{'x' * 32} y", "later # ~ \u00fc", "sensor add 1 1 u8",
+)  # fmt: skip
+_LATER = (
+    "(a later)", "(a later mm)", "(a later[2])", "(a later[])", "(a u8, b later)",
+    "(a later, b u8) u8", "(a u8) later", "(a u8) later[3]", "(a u8) later[]",
+    "(a u8) (b u8, c later)", "(a of) u8 !later", "(a of[2])", "(a of[])", "(a u8) of",
+    "(a outer)", "(a u8) (b outer, c u8)", "(a pair)", "(a u128)", "(a U8)", "(a Text)",
+)  # fmt: skip
+_ADD = "add(a i32, b i32) i32"
+
+
 class Unknown(HostCase):
-    """Is a device of a later version: with definitions, flags and elements that are not known."""
+    """Is several devices of later versions: with definitions, flags and elements that are not known."""
 
     ID = "host.interface.unknown"
     EXPECTATION = (
@@ -382,21 +400,31 @@ class Unknown(HostCase):
     )
     REQUIREMENTS = ("J2A-IFACE-011",)
     LEVEL = "interface"
-    DEVICE = _device(
-        _whole(
-            "first(a later, b u8) u8\nsecond(a u8) later[3]\nthird(a of) u8 !later\n"
-            "add(a i32, b i32) i32 !later(1, x) !idempotent !other # Adds.\n",
-            "union later (a u8) = 7\nstruct of (a later)\nsif beat 7 (a later)\n",
-        )
+    DEVICE = described(
+        "".join(f"u{n}{signature}\n" for n, signature in enumerate(_LATER))
+        + f"more many later\n{_ADD} !later(1, x) !idempotent !other # Adds.\n",
+        "union later (a u8) = 7\nstruct of (a later)\nstruct outer (a u8, b of)\n"
+        "struct pair (a later[2])\nsif beat 7 (a later)\n",
     )
 
     def _run(self, host: Host) -> None:
         typed(host, "add", [1, 2], [3])
-        for name, arguments in (("first", [1, 2]), ("second", [1]), ("third", [1])):
-            _, requests = host.do(f"typed {name} {spell(arguments)} {host.limit_ms}", "refused")
-            if requests:
-                fail(f"{name} was called, whose signature has an element that is not known")
+        for n, signature in enumerate(_LATER):
+            count = signature.partition(")")[0].count(",") + 1
+            for value in (1, [1], [1, 1]):
+                arguments = spell([value] + [1] * (count - 1))
+                _, requests = host.do(f"typed u{n} {arguments} {host.limit_ms}", "refused")
+                if requests:
+                    fail(f"a function was called, though {signature} has an unknown element")
         _raw_calls_work(host)
+        for flag in _FLAGS:
+            lines = f"plain {flag}\nmore many {flag}\nnone() {flag} {flag} # No.\n"
+            host.become(described(f"{lines}{_ADD} {flag} !idempotent {flag} # Adds.\n"))
+            typed(host, "add", [1, 2], [3])
+        for kind in _KINDS:
+            known = f"{kind}\nenum m i32 (one=1)\n{kind}\nstruct s (a m)\n{kind}\n"
+            host.become(described("add(a m, b i32) s\n", known))
+            typed(host, "add", [1, 2], [[1]])
 
 
 class Long(HostCase):
