@@ -205,6 +205,72 @@ class Refused(HostCase):
         typed(host, "add", [1, 2], [3])
 
 
+_ROOMS = (84, 96, 128, 252, 254)  # 84 bytes take the names up to that of a2jGetInterface
+_SIZED: tuple[tuple[str, int, int, Any], ...] = (
+    # signature, bytes before what is open, bytes of each unit of that, a unit as jobs spell it
+    ("(t text)", 0, 1, "y"),
+    ("(a u16, t text[255])", 2, 1, "y"),
+    ("(b bytes)", 0, 1, 0),
+    ("(a u8, b bytes[255])", 1, 1, 0),
+    ("(w u16[])", 0, 2, 0),
+    ("(a u8, b u16, w u32[])", 3, 4, 0),
+    ("(a u8, w u64[])", 1, 8, 0),
+    ("(a u32, p point[])", 4, 6, [0, 1]),
+)
+
+
+class Room(HostCase):
+    """Has the host call functions by signatures whose last field is open, with arguments that just
+    fit into the room of the device, and with longer ones; also one whose fields do not fit.
+    """
+
+    ID = "host.types.room"
+    EXPECTATION = "What fits is sent; more is refused, and nothing is sent for it."
+    REQUIREMENTS = ("J2A-LIMIT-007",)
+    LEVEL = "interface"
+
+    def _run(self, host: Host) -> None:
+        for room in _ROOMS:
+            host.become(self._with_room(room))
+            for number, (signature, fixed, unit, value) in enumerate(_SIZED):
+                most = (room - fixed) // unit
+                # One that is too long comes before the function was called, and others behind.
+                for count in (most + 1, most, most + 2, most - 1, most + 1, 0, 2 * most):
+                    units = "y" * count if value == "y" else [value] * count
+                    arguments = [*[0] * signature.count(","), units]
+                    self._call(host, number, arguments, count <= most)
+            self._call(host, len(_SIZED), [[0] * (room % 4 + 1), [0] * (room // 4)], False)
+
+    @staticmethod
+    def _call(host: Host, number: int, arguments: list[Any], is_fitting: bool) -> None:
+        name = f"u{number}"
+        job = f"typed {name} {spell(arguments)} {host.limit_ms}"
+        if len(job) > c.MAX_PAYLOAD:
+            return  # no frame takes it to the host
+        if is_fitting:
+            typed(host, name, arguments, [])
+            return
+        _, requests = host.do(job, "refused")
+        if requests:
+            fail(f"a payload was sent that is longer than the room of {host.device.room} bytes")
+
+    @staticmethod
+    def _with_room(room: int) -> Device:
+        """Return a device with this room, which bounds its mapping, too (J2A-IFACE-007)."""
+        lines = "".join(f"u{n}{signature}\n" for n, (signature, *_) in enumerate(_SIZED))
+        device = described(
+            f"{lines}u{len(_SIZED)}(a u8[{room % 4 + 1}], b u32[{room // 4}])\n",
+            "struct point (x f32, y i16)\n",
+        )
+        mapping = b""
+        for name in device.names:
+            if len(mapping) + len(name) + 1 > room:
+                break
+            mapping += name.encode() + b"\0"
+        properties = (*(device.properties or ()), (c.PROP_ROOM, str(room)))
+        return replace(device, mapping=(c.RET_OK, mapping), properties=properties)
+
+
 class Failures(HostCase):
     """Returns other values than 0x00, with and without a payload that would fit."""
 
@@ -392,7 +458,7 @@ _ADD = "add(a i32, b i32) i32"
 
 
 class Unknown(HostCase):
-    """Is several devices of later versions: with definitions, flags and elements that are not known."""
+    """Is devices of later versions, with definitions, flags and elements that are not known."""
 
     ID = "host.interface.unknown"
     EXPECTATION = (
