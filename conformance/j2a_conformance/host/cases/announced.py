@@ -19,7 +19,11 @@ _SIZE = 700
 _REFUSED = ("refused", "failed", "error")
 _OTHER_FORMS = (
     "abc", "1", "1.", ".1", "1.1.0", "v1.1", "01.1", "1.01", "+1.1", "1,1", " 1.1", "1.1 ",
-    "1.100000", "100001.1", "-1.1", "\u0661.1", "1.1a", "2",
+    "1.100000", "100001.1", "-1.1", "\u0661.1", "1.1a", "2", "1.1\n", "\n1.1", "1.1\r\n", "1\n.1",
+    "1.\n1", "\t1.1", "1.1\t", "1.+1", "1.-1", "1. 1", "1..1", ".", "1.1.", "1.1 1.1", "1.1;",
+    "1.1_0", "1_0.1", "1.1e0", "0x1.1", "1.0x1", "1:1", "1.\u0661", "1.1\u0661", "1\u0661.1",
+    "1.1\u00b2", "\uff11.1", "1\uff0e1", "1.\uff11", "\ufeff1.1", "1.1\u200b", "1.1\u00a0",
+    "2.0\n", "\u0662.0", "2.0a", "02.0", "2.\u0660", "2.0.0",
 )  # fmt: skip
 
 
@@ -43,7 +47,7 @@ def _read_and_write(host: Host) -> None:
 
 
 class _Refused(HostCase):
-    """Versions with which long transfers are refused."""
+    """Versions with which long transfers are refused, and short ones are made."""
 
     LEVEL: Level = "properties"
     VERSIONS: tuple[str, ...]
@@ -56,24 +60,27 @@ class _Refused(HostCase):
                 judge_offsets(requests)
                 if any(chunk_of(request).flags & c.FLAG_WRITE for request in requests):
                     fail(f"a part was written to a device whose version is {version!r}")
+            host.do(f"write {STORE} {spelt(7)} {host.limit_ms}", "written")
 
 
 class AnotherForm(_Refused):
     """Has the host read and write 700 bytes of devices whose j2a.spec is no version, and that look
-    at the lowest byte of an offset.
+    at the lowest byte of an offset; and then write 7 bytes.
     """
 
     ID = "host.version.another-form"
-    EXPECTATION = "The host takes them for devices of version 1.0 and refuses."
+    EXPECTATION = "The host takes them for devices of version 1.0 and refuses all but the last."
     REQUIREMENTS = ("J2A-VER-001",)
     VERSIONS = _OTHER_FORMS
 
 
 class Older(_Refused):
-    """Has the host read and write 700 bytes of a device that announces version 1.0."""
+    """Has the host read and write 700 bytes of a device that announces version 1.0, and then write
+    7 bytes.
+    """
 
     ID = "host.version.older"
-    EXPECTATION = "The host refuses."
+    EXPECTATION = "The host refuses all but the last."
     REQUIREMENTS = ("J2A-VER-001", "J2A-MANY-014")
     VERSIONS = ("1.0",)
 

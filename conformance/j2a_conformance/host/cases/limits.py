@@ -203,7 +203,12 @@ def long_properties(size: int, *last: tuple[str, str]) -> tuple[tuple[str, str],
     return (*found, ("rest", "r" * (left - 6)), *last)
 
 
-_ABSURD = ("0", "-1", "+300", " 300", "300 ", "0300", "3e2", "300.0", "0x80", "\u0663\u0660\u0660")
+_ABSURD = (
+    "0", "-1", "+200", " 200", "200 ", "0200", "2e2", "200.0", "0x80", "200\n", "\n200", "200\r\n",
+    "\t200", "200\t", "2\n00", "20 0", "2_00", "2,00", "200a", "200;", "\u0662\u0660\u0660",
+    "2\u0660\u0660", "20\u0660", "20\u00b2", "\uff12\uff10\uff10", "\ufeff200",
+    "200\u2029", "200\u00a0",
+)  # fmt: skip
 
 
 class _Absurd(HostCase):
@@ -247,7 +252,7 @@ class AbsurdBuffer(_Absurd):
     REQUIREMENTS = ("J2A-LIMIT-009", "J2A-LIMIT-003")
 
     def _run(self, host: Host) -> None:
-        for value in (*_ABSURD[1::2], "+300", "0" * 8 + "64", "12345678901", "9" * 2000):
+        for value in (*_ABSURD, "abc", "0" * 8 + "64", "12345678901", "9" * 2000):
             self.be(host, c.PROP_RXBUF, value)
             together(host, "01", "02")
             serve(host, 2, 0)
