@@ -61,6 +61,7 @@ class Host:
         self.held: j2a.AsyncFunction | None = None
         self.sifs: dict[str, list[j2a.Sif]] = {"all": [], "a": [], "b": []}
         self.came = asyncio.Event()
+        board.on_sif(FOR_A_AND_B, fail)
         board.on_sif(None, self.sifs["all"].append)
         board.on_sif(FOR_A_AND_B, self.sifs["a"].append)
         board.on_sif(FOR_A_AND_B, self.sifs["b"].append)
@@ -195,6 +196,11 @@ class Host:
         taken, sifs[:] = sifs[:], []
         data = b"".join(bytes((sif.opcode, len(sif.payload))) + sif.payload for sif in taken)
         return f"sifs {sum(sif.missed for sif in taken)} {spell(data)}"
+
+
+def fail(_sif: j2a.Sif) -> None:
+    """Raise, as a handler may; those that were registered behind this one get the SIF, too."""
+    raise RuntimeError
 
 
 def spell_samples(samples: list[j2a.Sample]) -> str:

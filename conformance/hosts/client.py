@@ -56,6 +56,7 @@ class Host:
         self.samples: dict[str, list[j2a.Sample]] = {}
         self.held: j2a.Function | None = None
         self.sifs: dict[str, list[j2a.Sif]] = {"all": [], "a": [], "b": []}
+        self.board.on_sif(FOR_A_AND_B, fail)
         self.board.on_sif(None, self.sifs["all"].append)
         self.board.on_sif(FOR_A_AND_B, self.sifs["a"].append)
         self.board.on_sif(FOR_A_AND_B, self.sifs["b"].append)
@@ -184,6 +185,11 @@ class Host:
         taken, sifs[:] = sifs[:], []
         data = b"".join(bytes((sif.opcode, len(sif.payload))) + sif.payload for sif in taken)
         return f"sifs {sum(sif.missed for sif in taken)} {spell(data)}"
+
+
+def fail(_sif: j2a.Sif) -> None:
+    """Raise, as a handler may; those that were registered behind this one get the SIF, too."""
+    raise RuntimeError
 
 
 def spell_samples(samples: list[j2a.Sample]) -> str:

@@ -16,6 +16,7 @@ from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, Device
 from j2a_conformance.host._host import Host
 
 from .boot import BOOTING, booting, restart
+from .sif import handed
 
 _MAX: Final = 65536
 _TEXT: Final = """\
@@ -98,7 +99,8 @@ def taken(
     resets: int = 0,
     count: int | None = None,
 ) -> None:
-    """Send SIFs, and judge which readings of a sensor the host takes out of them.
+    """Send SIFs, and judge that a handler gets all of them, and which readings of a sensor the host
+    takes out of them.
 
     A last SIF of another opcode shows that all of them have passed.
     """
@@ -108,7 +110,7 @@ def taken(
         spelt = f"{len(spelt)}#{zlib.crc32(spelt.encode()):08x}"
     if count is None:
         count = len(sifs) if readings else 0
-    host.do(f"sifs all {len(sifs)} {host.limit_ms}", "sifs")
+    handed(host, sifs, missing=None)
     host.do(f"samples {name} {count} {host.limit_ms}", f"samples {lost} {resets} {spelt}")
 
 
@@ -271,8 +273,11 @@ class WrongSamples(_TransducerCase):
     """Sends SIFs with the id of a sensor that are no samples of it, between some that are."""
 
     ID = "host.transducers.wrong-samples"
-    EXPECTATION = "The host reports each as an error of the device, and takes no value of it."
-    REQUIREMENTS = ("J2A-TRANS-023",)
+    EXPECTATION = (
+        "The host reports each as an error of the device, and takes no value of it; the handler of "
+        "all SIFs gets it."
+    )
+    REQUIREMENTS = ("J2A-TRANS-023", "J2A-SIF-007")
 
     def _run(self, host: Host) -> None:
         self._watch(host, "quad", "imu", "many", "long")
@@ -514,7 +519,9 @@ class Restart(_TransducerCase):
         host.slow_s = _TOO_SLOW_S  # so that what it has now cannot be learnt
         restart(host, _booting("\nsensor quad 7 2 i16\n"), [])
         host.slow_s = 0.0
-        taken(host, "quad", [old], [])
+        host.send(host.sif(*old))
+        host.do(f"sifs all 2 {host.limit_ms}", "sifs")  # the boot SIF is the first one
+        host.do(f"samples quad 0 {host.limit_ms}", "samples 0 0 []")
         works(host)
         host.become(BOOTING)
 
