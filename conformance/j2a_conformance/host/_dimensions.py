@@ -25,6 +25,7 @@ __all__ = [
     "frame",
     "interrupted",
     "places",
+    "resembling",
     "with_sum",
     "wrong_sums",
 ]
@@ -111,6 +112,30 @@ def places(length: int, rng: random.Random, first: int = 1) -> tuple[int, ...]:
     if length <= 4:
         return tuple(range(first, size))
     return tuple(sorted({size - 1, rng.randrange(first, c.HEADER), rng.randrange(c.HEADER, size)}))
+
+
+def resembling(token: str) -> tuple[str, ...]:
+    """Return values of j2a.caps that hold a token, or nearly so, and do not announce it."""
+    parts = (
+        "x",
+        "acme.",
+        "x-",
+        "2",
+        "_",
+        ".",
+        "-",
+        ",",
+        "\n",
+        "\t",
+        "\u00a0",
+        '"',
+        "x,",
+        "=",
+        "\u00b5",
+    )
+    glued = [text for part in parts for text in (part + token, token + part, f"x {token}{part} x")]
+    changed = [token[:-1], token[1:], token + token, token.upper(), token.capitalize()]
+    return (*glued, *changed, *(f"{token}{more}" for more in ("s", "er", ".x", "-2", "2.0")))
 
 
 def _named(index: int, length: int) -> str:

@@ -9,12 +9,13 @@ from j2a_spec.grammar import BOOT
 
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import FETCH, PING, STORE, Device
-from j2a_conformance.host._dimensions import frame
+from j2a_conformance.host._device import DEMO, FETCH, OLD, PING, STORE, Device
+from j2a_conformance.host._dimensions import frame, resembling
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Outcome, Request, Sifs, spell
 
 from .seq import BARRIER_AGAIN_MS, _Stalled
+from .sif import handed
 from .types import described
 
 _ADD = "add(a i32, b i32) i32\n"
@@ -372,13 +373,14 @@ class Room(_BootCase):
 
 
 class Others(HostCase):
-    """Sends SIFs that are no boot SIFs while a call waits: of the same opcode by a device without
-    the capability, of other opcodes, and damaged; and the code 0xFF as a reply.
+    """Sends SIFs that are no boot SIFs while a call waits: of the same opcode by devices without
+    the capability, some with tokens that resemble it, of other opcodes, and damaged; and the code
+    0xFF as a reply.
     """
 
     ID = "host.boot.others"
     EXPECTATION = "The call goes on and gets its reply."
-    REQUIREMENTS = ("J2A-BOOT-004", "J2A-CAP-003", "J2A-SIF-003")
+    REQUIREMENTS = ("J2A-BOOT-004", "J2A-CAP-002", "J2A-CAP-003", "J2A-SIF-003")
     LEVEL = "boot"
     DEVICE = BOOTING
 
@@ -387,18 +389,48 @@ class Others(HostCase):
         whole = host.sif(c.BOOT, payload)
         damaged = whole[:-1] + bytes((whole[-1] ^ 1,))
         wires = [host.sif(opcode, payload) for opcode in (0, 1, 7, 0x7F, c.BOOT - 1)]
-        self._go_on(host, [damaged, whole[:-3], *wires])
+        _go_on(host, [damaged, whole[:-3], *wires])
         request = host.asked(b"fails")
         host.reply(request, c.RET_FAILED, payload)
         host.replied_with(c.RET_FAILED, payload)
         host.become(described(_ADD))
-        payloads = [payload[:length] for length in (0, 1, 6, 7)]
-        self._go_on(host, [host.sif(c.BOOT, one) for one in payloads])
+        _go_on(host, [host.sif(c.BOOT, payload[:length]) for length in (0, 1, 6, 7)])
+        for token in resembling(c.CAP_BOOT):
+            host.become(booting(caps=f"{c.CAP_INTERFACE} {token}"))
+            _go_on(host, [host.sif(c.BOOT, payload)])
 
-    @staticmethod
-    def _go_on(host: Host, wires: list[bytes]) -> None:
-        for number, wire in enumerate(wires):
-            request = host.asked(bytes((number,)))
-            host.send(wire)
-            host.reply(request, c.RET_OK, b"right")
-            host.replied_with(c.RET_OK, b"right")
+
+def _go_on(host: Host, wires: list[bytes]) -> None:
+    """Send each while a call waits, and judge that it gets its reply."""
+    for number, wire in enumerate(wires):
+        request = host.asked(bytes((number,)))
+        host.send(wire)
+        host.reply(request, c.RET_OK, b"right")
+        host.replied_with(c.RET_OK, b"right")
+
+
+class NotAnyMore(_BootCase):
+    """Comes back with firmware that does not announce the capability, and, once the host has learnt
+    that, sends SIFs of the opcode 0xFF while calls wait and while none does.
+    """
+
+    ID = "host.boot.not-any-more"
+    EXPECTATION = "They are SIFs like others: the calls go on, and no restart is noticed."
+    REQUIREMENTS = ("J2A-CAP-003", "J2A-BOOT-005", "J2A-SIF-003")
+
+    def _judge(self, host: Host) -> None:
+        without = (described(_ADD), DEMO, OLD, booting(caps="bootloader"), booting(spec="2.0"))
+        for device in without:
+            host.become(BOOTING)
+            _end_a_call(host, device)
+            host.do(f"call {PING} 40*61 {host.limit_ms}", f"reply 0 {'61' * 40}")  # it asks anew
+            host.do(f"sifs all 0 {host.limit_ms}", "sifs")
+            before = host.number("restarts")
+            payload = _payload(device)
+            sent = [(c.BOOT, payload[:length]) for length in (7, 0, 7, 6)]
+            _go_on(host, [host.sif(*sif) for sif in sent])
+            host.send(host.sif(*sent[0]))
+            handed(host, [*sent, sent[0]])
+            if host.number("restarts") != before:
+                fail("the host takes a SIF for a boot SIF of a device that does not announce boot")
+        host.become(BOOTING)

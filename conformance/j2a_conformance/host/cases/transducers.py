@@ -13,6 +13,7 @@ from j2a_spec import transducers as oracle
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, Device
+from j2a_conformance.host._dimensions import resembling
 from j2a_conformance.host._host import Host
 
 from .boot import BOOTING, booting, restart
@@ -137,11 +138,13 @@ class _TransducerCase(HostCase):
 
 
 class Names(_TransducerCase):
-    """Is a board with transducers, one without, and boards of later versions."""
+    """Is a board with transducers, boards of later versions, and boards that announce none, or
+    tokens that resemble that of transducers.
+    """
 
     ID = "host.transducers.names"
     EXPECTATION = "The host knows those whose kind and type it knows, whatever else stands there."
-    REQUIREMENTS = ("J2A-TRANS-022", "J2A-CAP-003")
+    REQUIREMENTS = ("J2A-TRANS-022", "J2A-CAP-003", "J2A-CAP-002")
 
     def _run(self, host: Host) -> None:
         host.do("transducers", f"transducers {_NAMES}")
@@ -164,9 +167,11 @@ class Names(_TransducerCase):
             host.do("transducers", f"transducers {names}")
             works(host)
         properties = tuple(p for p in BOARD.properties or () if p[0] != c.PROP_CAPS)
-        host.become(replace(BOARD, properties=properties))
-        host.do("transducers", "transducers -")
-        works(host)
+        for caps in (None, *resembling(c.CAP_TRANSDUCERS)):
+            more = () if caps is None else ((c.PROP_CAPS, caps),)
+            host.become(replace(BOARD, properties=properties + more))
+            host.do("transducers", "transducers -")
+            works(host)
 
 
 _WRONG_KEYS: Final = (

@@ -10,6 +10,7 @@ from j2a_spec import interface as oracle
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, Device
+from j2a_conformance.host._dimensions import resembling
 from j2a_conformance.host._host import Host
 
 _DEFINITIONS = """\
@@ -401,11 +402,13 @@ class WrongHash(HostCase):
 
 
 class NotAnnounced(HostCase):
-    """Is a device that has a2jGetInterface, but announces no capability or another one."""
+    """Is a device that has a2jGetInterface, but announces no capability or another one, also such
+    as hold the letters of its token.
+    """
 
     ID = "host.interface.not-announced"
     EXPECTATION = "The interface is not read; raw calls work."
-    REQUIREMENTS = ("J2A-CAP-003",)
+    REQUIREMENTS = ("J2A-CAP-003", "J2A-CAP-002")
     LEVEL = "interface"
 
     def _run(self, host: Host) -> None:
@@ -413,9 +416,29 @@ class NotAnnounced(HostCase):
             (c.PROP_SPEC, c.SPEC_VERSION),
             (c.PROP_INTERFACE, oracle.crc(TYPED.interface or b"")),
         )
-        for caps in (None, "other", "interface.x", "xinterface", "interfac"):
+        for caps in (None, "other", *resembling(c.CAP_INTERFACE)):
             more = () if caps is None else ((c.PROP_CAPS, caps),)
             _not_used(host, replace(TYPED, properties=known + more))
+
+
+class Announced(HostCase):
+    """Is a device that announces the capability amid unknown tokens, and amid what is none."""
+
+    ID = "host.interface.announced"
+    EXPECTATION = "The interface is used, whatever else stands there."
+    REQUIREMENTS = ("J2A-CAP-002",)
+    LEVEL = "interface"
+
+    def _run(self, host: Host) -> None:
+        known = dict(TYPED.properties or ())
+        for value in (
+            "future {}", "{} acme.turbo", "x-1 {} x.2", " {}", "{} ", "  {}  ", "\u00b5 {} \u20ac",
+            "one,two {} =", "\t {} \n", "{0} {0}", "A {} 9", f"{'a' * 33} {{}} {'b' * 400}",
+            "{0}s {0} x{0}", "{0},{0} {0}",
+        ):  # fmt: skip
+            caps = {c.PROP_CAPS: value.format(c.CAP_INTERFACE)}
+            host.become(replace(TYPED, properties=tuple((known | caps).items())))
+            typed(host, "add", [1, 2], [3])
 
 
 class Endless(HostCase):
