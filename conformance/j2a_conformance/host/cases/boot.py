@@ -424,9 +424,9 @@ class NotAnyMore(_BootCase):
             host.become(BOOTING)
             _end_a_call(host, device)
             host.do(f"call {PING} 40*61 {host.limit_ms}", f"reply 0 {'61' * 40}")  # it asks anew
-            host.do(f"sifs all 0 {host.limit_ms}", "sifs")
-            before = host.number("restarts")
             payload = _payload(device)
+            handed(host, [(c.BOOT, payload)], missing=None)
+            before = host.number("restarts")
             sent = [(c.BOOT, payload[:length]) for length in (7, 0, 7, 6)]
             _go_on(host, [host.sif(*sif) for sif in sent])
             host.send(host.sif(*sent[0]))

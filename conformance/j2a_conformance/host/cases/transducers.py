@@ -515,11 +515,11 @@ class Restart(_TransducerCase):
             device = _booting(text)
             is_old = text == (self.DEVICE.transds or b"").decode()
             restart(host, device, [] if is_old else [old, old])
+            host.do(f"sifs all {1 if is_old else 3} {host.limit_ms}", "sifs")
             host.do(f"samples quad 0 {host.limit_ms}", "samples 0 0 []")
             host.do("transducers", f"transducers {names}")
             works(host)
             if opcode == 9 or is_old:
-                host.do(f"sifs all 0 {host.limit_ms}", "sifs")
                 taken(host, "quad", [(opcode, struct.pack("<Qh", 6, -3))], [(0, 6, -3)])
         host.slow_s = _TOO_SLOW_S  # so that what it has now cannot be learnt
         restart(host, _booting("\nsensor quad 7 2 i16\n"), [])
@@ -557,7 +557,7 @@ class RestartClock(_TransducerCase):
                 host.do("transducers", "transducers trio,many")
                 for name in ("trio", "many"):
                     host.do(f"watch {name}", "watching")
-                host.do(f"sifs all 0 {host.limit_ms}", "sifs")
+                host.do(f"sifs all 1 {host.limit_ms}", "sifs")
                 last[channel] += change
                 self._trio(host, last, int(change < 0))
                 self._trio(host, last, 0)
