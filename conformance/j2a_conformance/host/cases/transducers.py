@@ -111,7 +111,7 @@ def taken(
         spelt = f"{len(spelt)}#{zlib.crc32(spelt.encode()):08x}"
     if count is None:
         count = len(sifs) if readings else 0
-    handed(host, sifs, missing=None)
+    handed(host, list(sifs), missing=None)
     host.do(f"samples {name} {count} {host.limit_ms}", f"samples {lost} {resets} {spelt}")
 
 
