@@ -3,16 +3,18 @@
 from typing import Final
 
 from j2a_spec import constants as c
+from j2a_spec import transducers as oracle
 
 from j2a_conformance._judge import fail
 
-from ._board import Board, TransducerCase, slots, spread
+from ._board import Board, TransducerCase, fit, slots, spread
 
 _AT_ONCE: Final = bytes(8)
+_BYTES: Final = (0x02, 0x00, 0x80, 0xFF, 0x00, 0xFE, 0x01)
 
 
 class SetBools(TransducerCase):
-    """Sets actuators whose values are bools to bytes of all kinds."""
+    """Sets actuators whose values are bools to bytes of all kinds, one channel and several."""
 
     ID = "transducers.set-bools"
     EXPECTATION = "Each byte but 0 is taken as true, and told as 1."
@@ -22,10 +24,16 @@ class SetBools(TransducerCase):
         for one in board.actuators():
             if board.scalar(one) != "bool":
                 continue
-            for channel in spread(one):
-                for byte in (0x02, 0x00, 0x80, 0xFF, 0x00, 0xFE, 0x01):
-                    value = bytes((byte,))
-                    board.write(one, c.TRANSD_SET, bytes((channel,)) + _AT_ONCE + value)
-                    found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))[channel][1]
-                    if found != bytes((byte != 0,)):
-                        fail(f"{one.name} was set to {value.hex()}, and tells {found.hex()}")
+            for first in spread(one):
+                for count in range(1, min(fit(board, one), one.channels - first) + 1):
+                    for turn in range(len(_BYTES)):
+                        values = bytes((_BYTES * 2)[turn:] + _BYTES * count)[:count]
+                        self._set(board, one, first, values)
+
+    @staticmethod
+    def _set(board: Board, one: oracle.Transducer, first: int, values: bytes) -> None:
+        board.write(one, c.TRANSD_SET, bytes((first,)) + _AT_ONCE + values)
+        found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))[first:][: len(values)]
+        raw = b"".join(value for _, value in found)
+        if raw != bytes(byte != 0 for byte in values):
+            fail(f"{one.name} was set to {values.hex()} from {first} on, and tells {raw.hex()}")
