@@ -399,6 +399,18 @@ def around_range(board: Board, one: oracle.Transducer, is_within: bool) -> list[
     return [value for value in values if (low <= board.number(one, value) <= high) == is_within]
 
 
+def nans(board: Board, one: oracle.Transducer) -> list[bytes]:
+    """Return numbers of a floating-point type that are none: quiet ones and others, of both signs,
+    with one bit of the fraction set, the lowest, one in the middle or the highest, or all.
+    """
+    size = board.size(one)
+    fraction = 23 if board.scalar(one) == "f32" else 52
+    exponent = (1 << 8 * size - 1) - (1 << fraction)
+    bits = (1, 1 << fraction // 2, 1 << fraction - 2, 1 << fraction - 1, (1 << fraction) - 1)
+    signs = (0, 1 << 8 * size - 1)
+    return [(sign | exponent | some).to_bytes(size, "little") for sign in signs for some in bits]
+
+
 def wrong_sets(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
     """Yield what SET refuses: too many channels, and values out of range at each place."""
     size, times = board.size(one), (0, 1 << 62)
@@ -418,7 +430,7 @@ def wrong_sets(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
     bad = [board.packed(one, number) for number in (low - step, high + step)]
     bad = [value for value in bad if not low <= board.number(one, value) <= high]
     if board.scalar(one) in FORMATS:
-        bad.append(board.packed(one, float("nan")))
+        bad += nans(board, one)
     for number, value in enumerate(around_range(board, one, is_within=False)):
         yield bytes((number % one.channels,)) + US.pack(times[number % 2]) + value
     for value in bad:

@@ -1,5 +1,6 @@
 """Requests for transducers that a device must refuse, and topics that it takes (J2A-TRANS)."""
 
+import math
 from collections.abc import Iterator
 from typing import Final
 
@@ -15,6 +16,7 @@ from ._board import (
     WRITE_ONLY,
     Board,
     TransducerCase,
+    nans,
     wrong_sets,
 )
 from ._topics import WRONG_TOPICS
@@ -139,7 +141,8 @@ class Refused(TransducerCase):
         if item == c.TRANSD_DECIMATION:
             yield b"\0"
         if item == c.TRANSD_THRESHOLD and board.scalar(one) in ("f32", "f64"):
-            yield from (board.packed(one, number) for number in (-0.5, float("nan"), -1e30))
+            yield from (board.packed(one, number) for number in (-0.5, -1e30, -math.inf))
+            yield from nans(board, one)
         if item == c.TRANSD_THRESHOLD and board.scalar(one)[0] == "i":
             lowest = -(1 << 8 * board.size(one) - 1)
             yield from (board.packed(one, number) for number in (-1, lowest, lowest // 2))
