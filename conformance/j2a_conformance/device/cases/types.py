@@ -5,6 +5,7 @@ whose results have the names of parameters. Each result is the value of that par
 have another type, so that a wrong order of bytes or a lost sign is seen.
 """
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -55,7 +56,11 @@ _SIZES = (
     236,
     255,
 )
-_FLOATS = (0.0, 1.0, -1.0, 127.0, -128.0, 0.5, -2.25, 1024.0, 16777215.0, 3.1415927410125732, 1e-5)
+_FLOATS = (
+    *(0.0, -0.0, 1.0, -1.0, 127.0, -128.0, 0.5, -2.25, 1024.0, 16777215.0, 3.1415927410125732),
+    *(1e-5, 2.0**-126, -(2.0**-149), 2.0**128 - 2.0**104, math.inf, -math.inf),
+)
+"""Also -0, the least number of 32 bits and the largest, and infinities."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +150,7 @@ def _numbers(element: str, n: int) -> Iterator[int]:
         yield from (False, True)
         return
     if element[0] == "f":
-        yield from (int(value) for value in _FLOATS if value == int(value))
+        yield from (int(value) for value in _FLOATS if value.is_integer())
         return
     bits = int(element[1:])
     low = -(1 << bits - 1) if element[0] == "i" else 0
