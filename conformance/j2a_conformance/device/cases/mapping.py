@@ -1,5 +1,7 @@
 """The function map (J2A-MAP)."""
 
+from typing import Final
+
 import construct as cs
 from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING
@@ -8,6 +10,9 @@ from j2a_conformance._judge import fail, lack
 from j2a_conformance.device._case import Case
 from j2a_conformance.device._peer import Peer
 from j2a_conformance.wire._dimensions import payload_of, spread
+
+_LONG_S: Final = 0.1
+_OPCODES: Final = 30
 
 
 def mapping(peer: Peer, payload: bytes = b"") -> bytes:
@@ -70,7 +75,9 @@ class Names(Case):
 
 
 class RequestPayload(Case):
-    """Calls a2jGetMapping with payloads of several lengths."""
+    """Calls a2jGetMapping with payloads of several lengths; with opcodes, each alone and as many
+    as there are, and with names.
+    """
 
     ID = "mapping.request-payload"
     EXPECTATION = "The same mapping each time."
@@ -80,6 +87,15 @@ class RequestPayload(Case):
     def _run(self, peer: Peer) -> None:
         wanted = mapping(peer)
         several = (payload_of(length, n) for n, length in enumerate(spread(step=61)))
-        for payload in (b"\0", b"x", bytes(6), b"\x12\xed\x7d", b"\xff" * 255, *several):
+        last = min(len(peer.claims.functions), 255) - 1
+        # On a link on which the mapping takes long some opcodes must do, as where they are many.
+        some = _OPCODES if len(wanted) * peer.link.byte_s < _LONG_S else 1
+        every = {*range(1, last, last // some + 1), last, last + 1, 0xFF}
+        opcodes = (bytes((opcode,)) for opcode in sorted(every))
+        named = (name.encode() for name in (peer.claims.functions[-1], c.GET_MAPPING))
+        headers = (bytes((last, 1)), bytes((last, 0, 1, 0, 0, 0)), bytes(range(last + 1)))
+        few = (b"", b"\0", b"x", bytes(6), b"\x12\xed\x7d", b"\xff" * 255)
+        for payload in (*few, *opcodes, *named, *headers, *several):
             if mapping(peer, payload[: peer.longest]) != wanted:
-                fail(f"another mapping for a request with {len(payload)} payload bytes")
+                what = payload[:8].hex(" ")
+                fail(f"another mapping for a request with {len(payload)} payload bytes: {what}")
