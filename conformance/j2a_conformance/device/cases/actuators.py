@@ -210,6 +210,7 @@ class Watchdog(TransducerCase):
     _EXPIRE_MS: Final = (1, 20, 50, 300)
     _LONGEST_MS: Final = 1100  # of one actuator
     _LATE_MS: Final = 40
+    _MOMENT_MS: Final = 15
 
     def _judge(self, board: Board) -> None:
         for one in board.actuators("watchdog"):
@@ -310,7 +311,9 @@ class Watchdog(TransducerCase):
                     fail(f"{what}, in the {which} silence", suspect=True)
 
     def _long(self, board: Board, one: oracle.Transducer, value: bytes) -> None:
-        """Be silent for far less than long watchdogs, whose limits do not fit into fewer bits."""
+        """Be silent for far less than long watchdogs, whose limits do not fit into fewer bits; for
+        a moment where it is their microseconds that do not, and next to nothing would be left.
+        """
         for limit_ms in (256, 0x1010, 32767, 32768, 40000, 65535):
             board.write(one, c.TRANSD_WATCHDOG, bytes(2))
             board.write(one, c.TRANSD_SET, bytes(9) + value)
@@ -321,6 +324,13 @@ class Watchdog(TransducerCase):
                     text = f"{one.name} was made safe after less than its watchdog of {limit_ms} ms"
                     fail(text, suspect=True)
                 board.write(one, c.TRANSD_SET, bytes(9) + value)
+        for bits in range(18, 26):
+            limit_ms = (1 << bits) // 1000 + 1
+            board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", limit_ms))
+            self._silence(board, self._MOMENT_MS)
+            if slots(board, one, board.read(one, c.TRANSD_SAMPLE))[0][1] != value:
+                text = f"{one.name} was made safe after a moment, its watchdog is of {limit_ms} ms"
+                fail(text, suspect=True)
         board.write(one, c.TRANSD_WATCHDOG, bytes(2))
 
     @staticmethod
