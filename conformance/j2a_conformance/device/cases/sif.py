@@ -12,14 +12,15 @@ from j2a_transports import TransportError
 
 from j2a_conformance._judge import Judged, fail, inform
 from j2a_conformance.device._case import Case
-from j2a_conformance.device._peer import Expected, Peer, describe, refusal
-from j2a_conformance.wire._dimensions import lengths, payload_of
+from j2a_conformance.device._peer import MANY_ONLY, Expected, Peer, describe, refusal
+from j2a_conformance.wire._dimensions import damaged, lengths, payload_of
 from j2a_conformance.wire._expected import first_difference
 from j2a_conformance.wire._link import Arrival
 
 from .frame import patterns
 
 PERIODIC = 0x20
+_STOPS = 11
 
 
 @contextmanager
@@ -176,7 +177,9 @@ class EveryLength(Case):
 
 
 class Counter(Case):
-    """Asks for 300 SIFs, with every opcode; each request follows a broken one."""
+    """Asks for 300 SIFs, with every opcode; each request follows what is refused, skipped or given
+    up, in turn.
+    """
 
     ID = "sif.counter"
     EXPECTATION = (
@@ -190,7 +193,7 @@ class Counter(Case):
         reserved = {c.BOOT} if peer.announces(c.CAP_BOOT) else {}
         for n in range(300):
             if n % 256 not in reserved:
-                peer.carried(lambda value=n % 256: self._sif(peer, value))  # type: ignore[misc]
+                peer.attempts(lambda n=n: self._sif(peer, n))  # type: ignore[misc]
         check_counter(peer)
         first = frames(peer.link.sifs[:1])[0].seq
         if not peer.claims.fresh or peer.link.lossy:
@@ -200,13 +203,49 @@ class Counter(Case):
             fail(f"the first SIF after the reset has the seq 0x{first:02X}")
 
     @staticmethod
-    def _sif(peer: Peer, value: int) -> None:
-        before = len(peer.link.sifs)
-        broken, request = peer.probe(), peer.request(peer.opcode("sif"), bytes((value, value)))
-        stream = broken.wire[:4] + request.wire
-        peer.play(stream, refusal(broken.seq, c.ERR_FRAMING), Expected(request.seq, c.RET_OK))
+    def _sif(peer: Peer, n: int) -> None:
+        before, value = len(peer.link.sifs), n % 256
+        if n % _STOPS == 0:
+            _stop(peer, n // _STOPS)
+        stream, due = _disturbed(peer, n)
+        request = peer.request(peer.opcode("sif"), bytes((value, value)))
+        peer.play(stream + request.wire, *due, Expected(request.seq, c.RET_OK))
         compare(peer, before, value, bytes((value,)))
         check_counter(peer, max(before - 1, 0))
+
+
+def _disturbed(peer: Peer, n: int) -> tuple[bytes, list[Expected]]:
+    """Return what goes ahead of a good request, of the kind that `n` chooses, and its replies."""
+    broken = peer.probe()
+    wire, seq, opcode = broken.wire, broken.seq, peer.echo_opcode
+    wrong, its_seq = damaged(opcode, n)
+    kinds = [
+        (wire[:4], [refusal(seq, c.ERR_FRAMING)]),
+        (wrong, [refusal(its_seq, c.ERR_CHECKSUM)]),
+        (wire[:5] + b"\x7d\xff", [refusal(seq, c.ERR_FRAMING)]),
+        (wire[:1], []),
+        (encode(Frame(c.SOS, seq, opcode, b"foreign")), []),
+        (encode(Frame(c.SOS, seq, opcode, b"foreign"))[:6], []),
+        (b"\x00\x7d\x55", []),
+        (wire, [broken.expected]),
+    ]
+    refused = [peer.request(free, b"x", c.ERR_OPCODE) for free in peer.out_of_range()[-1:]]
+    refused += [peer.direct(name) for name in sorted(MANY_ONLY) if peer.has(name)][:1]
+    if peer.longest < c.MAX_PAYLOAD:
+        refused.append(peer.echo(bytes(peer.longest + 1)))
+    kinds += [(request.wire, [request.expected]) for request in refused]
+    return kinds[n % len(kinds)]
+
+
+def _stop(peer: Peer, n: int) -> None:
+    """Have the device give up a frame: a request with and without its seq, or another frame."""
+    broken = peer.probe()
+    foreign = encode(Frame(c.SOS, broken.seq, peer.echo_opcode, b"foreign"))
+    if n % 3 == 0:
+        peer.play(broken.wire[: 3 + n % 7], Expected(broken.seq, c.ERR_TIMEOUT))
+    else:
+        peer.link.send(broken.wire[:1] if n % 3 == 1 else foreign[:-1])
+        peer.silence(0.03 * max(peer.link.scale, 1.0), "for a frame without a seq, or with SOS")
 
 
 class Whole(Case):
