@@ -44,8 +44,9 @@ def passes_in_pieces(
     is_strict: bool = False,
     enough: int = 1,
     tries: int = TRIES,
+    silent_s: float = 0.0,
 ) -> bool:
-    """Send the pieces until the replies are right `enough` times.
+    """Send the pieces, each time behind a silence, until the replies are right `enough` times.
 
     Returns:
         False where this machine was too busy to make the pauses short.
@@ -62,6 +63,7 @@ def passes_in_pieces(
     def attempt(_: int) -> bool:
         nonlocal tried, refused
         tried += 1
+        peer.link.pause(silent_s)
         longest_s = send_paused(peer, pieces, pause_s)
         try:
             peer.expect(*due, exact=exact)

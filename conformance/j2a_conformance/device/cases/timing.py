@@ -8,18 +8,23 @@ and only when it is refused again and again: a stall between here and the device
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum, encode, stuff
 
-from j2a_conformance._judge import Judged, fail, inform
+from j2a_conformance._judge import Judged, fail, inform, skip
 from j2a_conformance._model import Verdict
 from j2a_conformance.device._case import Case
 from j2a_conformance.device._paused import REFUSALS, TRIES, passes_in_pieces, send_paused
 from j2a_conformance.device._peer import Expected, Peer, Request, many_payload
 from j2a_conformance.wire._dimensions import lane_offset, lengths, payload_of, spread
 
+from .sif import check_counter, periodic
 from .stuffing import escapable
 
 _ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
 _GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3
 _LONG_TRIES = 12
+_SIF_BYTE_S = 0.0001  # so that a SIF of some bytes takes less than half of the shortest period
+_PIECE_BYTE_S = 0.0005
+_POWERS = (8, 16, 32, 64, 128, 256, 512)
+_COUNTED = (100, 200, 250, 255, 258, 500, 510)
 
 
 def accepts(
@@ -29,6 +34,7 @@ def accepts(
     *due: Expected,
     enough: int = 2,
     tries: int = TRIES,
+    silent_s: float = 0.0,
 ) -> None:
     """Fail when the device refuses these pauses again and again.
 
@@ -36,7 +42,9 @@ def accepts(
     see the bytes without it.
     """
     try:
-        passed = passes_in_pieces(peer, pieces, pause_s, *due, enough=enough, tries=tries)
+        passed = passes_in_pieces(
+            peer, pieces, pause_s, *due, enough=enough, tries=tries, silent_s=silent_s
+        )
     except Judged as judged:
         if judged.final:
             raise
@@ -130,6 +138,32 @@ class LongFrames(Case):
             accepts(peer, parts, 0.007, request.expected, enough=1)
 
 
+class AnyPiece(Case):
+    """Sends requests of the largest size in two pieces with 4 ms between them, behind a silence:
+    cut at the first and at the last bytes, and where the first piece is of as many bytes as devices
+    count or take at a time, one more, or one less.
+    """
+
+    ID = "timing.any-piece"
+    EXPECTATION = "Each request is answered: the pause began with the last byte."
+    REQUIREMENTS = ("J2A-TIME-001", "J2A-FRAME-005")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        if peer.link.lossy:
+            inform("a lossy link seldom carries a long frame whole")
+        if peer.link.byte_s > _PIECE_BYTE_S:
+            inform("on a link as slow as this no bytes come at once")
+        for payload in (b"W", b"\x12"):  # of the latter two bytes each
+            request = peer.echo(payload * peer.longest)
+            wire = request.wire
+            sizes = {n for m in (*_POWERS, *_COUNTED) for n in (m - 1, m, m + 1)}
+            for cut in sorted({1, 2, 3, 4, 5, *sizes, len(wire) - 2, len(wire) - 1}):
+                if 0 < cut < len(wire):
+                    parts = [wire[:cut], wire[cut:]]
+                    accepts(peer, parts, 0.004, request.expected, enough=1, silent_s=_GIVEN_UP_S)
+
+
 class Trickle(Case):
     """Sends a frame byte by byte with 4 ms between them, longer than 20 ms in all."""
 
@@ -144,8 +178,8 @@ class Trickle(Case):
 
 
 class TrickleLong(Case):
-    """Sends one of the longest requests in pieces of four bytes with 4 ms between them; of two
-    bytes in simulated time, where nothing stalls, so that it takes a second.
+    """Sends one of the longest requests in pieces of two bytes with 4 ms between them, so that it
+    takes a second.
     """
 
     ID = "timing.trickle-long"
@@ -156,8 +190,7 @@ class TrickleLong(Case):
     def _run(self, peer: Peer) -> None:
         longest = peer.echo(b"\x12" * peer.longest)
         wire = longest.wire
-        size = 2 if peer.link.transport.is_simulated else 4
-        parts = [wire[n : n + size] for n in range(0, len(wire), size)]
+        parts = [wire[n : n + 2] for n in range(0, len(wire), 2)]
         accepts(peer, parts, 0.004, longest.expected, enough=1, tries=_LONG_TRIES)
 
 
@@ -200,6 +233,33 @@ class GivesUp(Case):
             fail(f"given up after {(arrival.at_s - before_s) * 1e3:.1f} ms")
         if arrival.at_s - sent_s > allowed_s:
             fail(f"given up after {(arrival.at_s - sent_s) * 1e3:.1f} ms", suspect=True)
+
+
+class AmidSifs(Case):
+    """Stops within requests, and pauses for 8.5 ms within others, while the device sends SIFs."""
+
+    ID = "timing.amid-sifs"
+    EXPECTATION = (
+        "Error 0xF2 not before 9 ms and within 20 ms, and the echoes of the others: what the "
+        "device sends meanwhile begins and ends no pause."
+    )
+    REQUIREMENTS = ("J2A-TIME-001", "J2A-TIME-002", "J2A-SIF-001", "J2A-SIF-002")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        if not peer.has("sifPeriod"):
+            skip("the device has no function sifPeriod")
+        if peer.link.byte_s > _SIF_BYTE_S:
+            inform("on a link as slow as this the device would send all the time")
+        first = max(len(peer.link.sifs) - 1, 0)
+        wire, due = awkward(peer)
+        for period_ms in (2, 5, 9):
+            with periodic(peer, period_ms):
+                peer.next_sif(len(peer.link.sifs))
+                for cut in (3, 5, len(wire) - 1):
+                    peer.attempts(lambda n=cut: GivesUp.cut(peer, wire[:n], due.seq))  # type: ignore[misc]
+                    accepts(peer, [wire[:cut], wire[cut:]], 0.0085, due, enough=1)
+        check_counter(peer, first)
 
 
 class GivesUpLong(Case):
