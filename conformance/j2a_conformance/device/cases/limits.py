@@ -13,6 +13,8 @@ from j2a_conformance.wire._dimensions import payload_of
 from .sums import with_sum
 
 _DELAY_MS = 80
+_LONG_MS = (300, 2050)
+_LONG_ROOM = 2048
 _REQUESTS = 200  # no seq stands for two
 _FRAME = 5  # bytes of the shortest request
 _ROOM = 32768  # less than pipes and sockets hold, so that nobody waits for the other side to read
@@ -90,6 +92,27 @@ def _one(peer: Peer, kind: str, n: int, data: bytes) -> Request:
     if kind == "mixed" and n % 7 == 5 and (free := peer.out_of_range()):
         return peer.request(free[n % len(free)], data, c.ERR_OPCODE)
     return peer.echo(data)
+
+
+class LongWait(Case):
+    """Sends requests of j2a.rxbuf bytes while `delay` keeps the device busy, for 0.3 s and for more
+    than 2 s.
+    """
+
+    ID = "limits.long-wait"
+    EXPECTATION = "Every request is answered, in order, however long it has waited."
+    REQUIREMENTS = ("J2A-LIMIT-001", "J2A-DISP-001")
+    LEVEL = "core"
+    NEEDS = ("delay",)
+
+    def _run(self, peer: Peer) -> None:
+        if not peer.rxbuf:
+            skip(f"the device announces no {c.PROP_RXBUF}")
+        for ms in _LONG_MS:
+            requests = delay(peer, ms)
+            fill(peer, requests, peer.room(_LONG_ROOM), "mixed")
+            stream = b"".join(r.wire for r in requests)
+            peer.play(stream, *(r.expected for r in requests), wait_s=ms / 1e3)
 
 
 class CutFrame(Case):
