@@ -44,7 +44,7 @@ TARGETS: Final = {
 }
 """What can be mutated, each with the files and folders that its edited copy is made of."""
 
-_ID: Final = re.compile(r"(?P<target>[a-z]+)-(?P<rule>[a-z]+-\d{3})(-[a-z])?")
+_ID: Final = re.compile(r"(?P<target>[a-z]+)-(?P<rule>[a-z]+-\d{3})(-[a-z]{1,2})?")
 
 
 class TableError(Exception):
