@@ -30,6 +30,7 @@ note(t text) text
 none()
 """
 _MAX_INTERFACE = 65536
+_BOOLS = 24
 
 
 def _device(text: str, **changes: Any) -> Device:
@@ -144,23 +145,37 @@ class Values(HostCase):
 
 
 class Bools(HostCase):
-    """Returns every byte as a bool."""
+    """Returns every byte as a bool: alone, in arrays of a fixed number and of any, and in
+    structures.
+    """
 
     ID = "host.types.bools"
     EXPECTATION = "Every byte but 0 is true."
     REQUIREMENTS = ("J2A-TYPE-002",)
     LEVEL = "interface"
-    DEVICE = _device(_whole("flag() bool\nflags() (a bool, b bool[2])\n"))
+    DEVICE = _device(
+        _whole(
+            "flag() bool\nflags() (a bool, b bool[2])\nrest() bool[]\npairs() (a u8, b pair[])\n",
+            "struct pair (a bool, b bool[2])\n",
+        )
+    )
 
     def _run(self, host: Host) -> None:
         for byte in range(256):
-            for name, payload in (("flag", bytes((byte,))), ("flags", bytes((0, byte, byte ^ 1)))):
-                host.job(f"typed {name} [] {host.limit_ms}")
-                host.reply(host.request(host.device.opcode(name), b""), c.RET_OK, payload)
-                due: Any = bool(byte)
-                if name == "flags":
-                    due = [False, [bool(byte), byte != 1]]
-                host.outcome(f"values {spell(due)}")
+            self._judge(host, "flag", bytes((byte,)), bool(byte))
+            self._judge(host, "flags", bytes((0, byte, byte ^ 1)), [False, [byte != 0, byte != 1]])
+        for first in range(0, 256, _BOOLS):  # as many as an outcome has room for
+            found = bytes(n % 256 for n in range(first, first + _BOOLS))
+            are = [byte != 0 for byte in found]
+            self._judge(host, "rest", found, are)
+            pairs = [[are[n], are[n + 1 : n + 3]] for n in range(0, _BOOLS, 3)]
+            self._judge(host, "pairs", b"\0" + found, [0, pairs])
+
+    @staticmethod
+    def _judge(host: Host, name: str, payload: bytes, due: Any) -> None:
+        host.job(f"typed {name} [] {host.limit_ms}")
+        host.reply(host.request(host.device.opcode(name), b""), c.RET_OK, payload)
+        host.outcome(f"values {spell(due)}")
 
 
 _REFUSED: tuple[tuple[str, list[Any]], ...] = (
