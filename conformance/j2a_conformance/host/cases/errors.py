@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from itertools import product
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
@@ -11,9 +12,11 @@ from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, PING
 from j2a_conformance.host._dimensions import LENGTHS, content, frame
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._outcomes import Outcome, spell
+from j2a_conformance.host._outcomes import Outcome, Request, spell
+from j2a_conformance.wire._expected import DAMAGE
 
 _CODES = tuple(sorted(c.ERRORS))
+_UNANSWERED = 4  # times the limit of a call that is not answered, for three of them
 _QUIET_MS = 500.0  # where a stall must not look like a host that makes one call at a time
 
 
@@ -139,8 +142,8 @@ class Reserved(HostCase):
 
 
 class Hint(HostCase):
-    """Answers calls by the errors 0xF2, 0xF3 and 0xF4: one alone, and one of three that wait, each
-    with its reply behind.
+    """Answers calls by the errors 0xF2, 0xF3 and 0xF4: one alone with its reply behind; and each of
+    three that wait in turn, with its reply behind, and without one where the others get theirs.
     """
 
     ID = "host.error.hint"
@@ -154,31 +157,54 @@ class Hint(HostCase):
 
     def _run(self, host: Host) -> None:
         said = False
-        for code in (c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING):
+        for code in sorted(DAMAGE):
             request = host.asked(b"one")
             host.send(request.reply(code, b"\x04\x00") + request.reply(1, b"one"))
             host.replied(request)
             outcome = host.outcome(f"error {code}", f"reply 1 {spell(b'one')}")
             said |= self.judge(outcome.text, outcome.fate)
-            host.job("together " + " ; ".join(f"call @6 0{n} {host.limit_ms}" for n in range(1, 4)))
-            waiting = host.requests(3, _QUIET_MS) or [host.request()]
-            hinted = waiting[len(waiting) // 2]
-            host.send(hinted.reply(code, b"\x04\x00"))
-            for one in waiting:
-                host.reply(one, 1, one.payload)
-            for _ in range(3 - len(waiting)):
-                late = host.request()
-                host.reply(late, 1, late.payload)
-            parts = [Outcome.parse(part) for part in host.outcome().whole.split(" ; ")]
-            for n, part in enumerate(parts, start=1):
-                is_hinted = hinted.payload == bytes((n,))
-                if part.text != f"reply 1 0{n}" and not (
-                    is_hinted and part.text == f"error {code}"
-                ):
-                    fail(f"the call with 0{n} ended as `{part.text}`")
-                said |= self.judge(part.text, part.fate)
+            for place, is_answered in product(range(3), (True, False)):
+                waiting = self._three(host, is_answered)
+                said |= self._among_others(host, code, waiting, place, is_answered)
+                if len(waiting) < 3:  # it makes one call at a time
+                    break
         if not said:
             inform("the host program does not say whether a request was executed")
+
+    @staticmethod
+    def _three(host: Host, is_answered: bool) -> list[Request]:
+        """Have the host make three calls at once; return those that wait."""
+        # The end of this time is what a call waits for whose reply does not come.
+        limit_ms = host.limit_ms if is_answered else _UNANSWERED * host.silence_ms
+        host.job("together " + " ; ".join(f"call @6 0{n} {limit_ms}" for n in range(1, 4)))
+        waiting = host.requests(3, _QUIET_MS) or [host.request()]
+        if not is_answered and len(waiting) < 3:
+            host.serve()
+            fail("not all of three calls came at once, as they did before", suspect=True)
+        return waiting
+
+    def _among_others(
+        self, host: Host, code: int, waiting: list[Request], place: int, is_answered: bool
+    ) -> bool:
+        """Refuse one of three calls; judge how they end, and tell whether something was said."""
+        hinted = waiting[min(place, len(waiting) - 1)]
+        host.send(hinted.reply(code, b"\x04\x00"))
+        for one in waiting:
+            if is_answered or one is not hinted:
+                host.reply(one, 1, one.payload)
+        for _ in range(3 - len(waiting)):
+            late = host.request()
+            host.reply(late, 1, late.payload)
+        said = False
+        parts = [Outcome.parse(part) for part in host.outcome().whole.split(" ; ")]
+        for n, part in enumerate(parts, start=1):
+            is_hinted = hinted.payload == bytes((n,))
+            accepted = {f"reply 1 0{n}"} if is_answered or not is_hinted else {"timeout"}
+            accepted |= {f"error {code}"} if is_hinted else set()
+            if part.text not in accepted:
+                fail(f"the call with 0{n} ended as `{part.text}`", suspect=part.text == "timeout")
+            said |= self.judge(part.text, part.fate)
+        return said
 
     @staticmethod
     def judge(text: str, fate: str) -> bool:
