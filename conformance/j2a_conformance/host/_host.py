@@ -7,6 +7,7 @@ so the link is the only way between suite and program. Every frame that comes is
 oracle, whichever case runs.
 """
 
+import math
 import re
 import time
 from collections.abc import Iterable
@@ -56,6 +57,7 @@ class Host:
         limit_ms: a time limit for calls that are answered.
         silence_ms: a time limit for calls that are not.
         slow_s: how long the device takes to answer requests about itself.
+        answers: how many of these it still answers.
     """
 
     def __init__(self, place: Listening, device: Device, scale: float = 1.0) -> None:
@@ -67,6 +69,7 @@ class Host:
         self._place = place
         self._sif_seq = 0
         self.slow_s = 0.0
+        self.answers = math.inf
         self._told = 0
         self._verb = ""
         self._held: list[Arrival] = []
@@ -364,6 +367,9 @@ class Host:
         if is_many and request.payload[1:2] not in (b"\x00", bytes((c.FLAG_LAST,))):
             flags = request.payload[1:2].hex()
             fail(f"the host reads the properties with the flags {flags} (J2A-MANY-009)")
+        if not self.answers:
+            return
+        self.answers -= 1
         if self.slow_s:
             self.link.wait_until(self.link.now_s() + self.slow_s)
         self.reply(request, *self.device.answer(request.opcode, request.payload))

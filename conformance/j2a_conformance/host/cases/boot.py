@@ -1,5 +1,6 @@
 """A device that restarts while the link stays, as a host sees it (J2A-BOOT)."""
 
+import math
 from dataclasses import replace
 from typing import Final
 
@@ -16,10 +17,12 @@ from j2a_conformance.host._outcomes import Outcome, Request, Sifs, spell
 
 from .seq import BARRIER_AGAIN_MS, _Stalled
 from .sif import handed
+from .timing import ends_within
 from .types import described
 
 _ADD = "add(a i32, b i32) i32\n"
 _RXBUF = 4096
+_REST_MS = 30.0
 
 
 def booting(functions: str = _ADD, before: int = 0, **changes: str) -> Device:
@@ -370,6 +373,48 @@ class Room(_BootCase):
             host.job(f"call @{host.device.opcode(PING)} 255*55 {host.limit_ms}")
             host.reply(host.request(host.device.opcode(PING), b"\x55" * 255))
             host.outcome("reply 0 -")
+
+
+class Silent(_BootCase):
+    """Restarts, and then answers no question about itself, or only the first one or two; has the
+    host call by name, by opcode with a long payload and by a signature, and read.
+    """
+
+    ID = "host.boot.silent"
+    EXPECTATION = "Each ends by its time limit, which covers what the host has to learn anew."
+    REQUIREMENTS = ("J2A-TIME-008", "J2A-TIME-006", "J2A-BOOT-005")
+
+    def _judge(self, host: Host) -> None:
+        long_call = f"call @{host.device.opcode(PING)} 100*61"
+        host.do("hold add", "held")
+        jobs = (f"call {PING} -", long_call, "held [40,2]", f"read {FETCH}")
+        limit_ms = 2 * host.silence_ms
+        # Those that need the interface ask the most.
+        plans = [(0, job) for job in jobs] + [(1, long_call), (1, jobs[2]), (2, jobs[2])]
+        for answers, job in plans:
+            self._rest(host)
+            host.device, host.answers = BOOTING, answers
+            try:
+                host.job(f"{job} {limit_ms}")
+                outcome = ends_within(host, host.link.now_s(), limit_ms, 2.5)
+            finally:
+                host.answers = math.inf
+            if outcome.word not in ("timeout", "failed", "refused"):
+                fail(f"the host reports `{outcome.whole}`, but nothing was answered")
+            host.reply(host.asked(b"next"), c.RET_OK, b"next")
+            host.replied_with(c.RET_OK, b"next")
+
+    @staticmethod
+    def _rest(host: Host) -> None:
+        """Restart, and refuse what the host asks by itself.
+
+        That has a time limit of its own, for which a job and its report may have to wait.
+        """
+        _end_a_call(host, replace(BOOTING, mapping=(c.ERR_CHECKSUM, b"\x04\x00")))
+        host.requests(1, _REST_MS)
+        # What waited for its turn behind the call for this job comes before the call of the job.
+        host.reply(host.asked(b"rest"), c.RET_OK, b"rest")
+        host.replied_with(c.RET_OK, b"rest")
 
 
 class Others(HostCase):
