@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+from j2a_spec import constants as c
 from j2a_spec.requirements import Level
 
-from j2a_conformance._judge import fail, inform
+from j2a_conformance._judge import fail, inform, skip
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, FETCH, PING, STORE
 from j2a_conformance.host._host import Host
@@ -248,6 +249,34 @@ class QueuedThenSilent(_Ends):
         host.reply(first, 1, first.payload)
         host.request_or_end()
         ends_within(host, began_s, limit_ms, 1.5)
+
+
+class AmongMany(_Ends):
+    """Leaves two calls without a reply, while the host makes 100 others at the same time, which are
+    answered.
+    """
+
+    ID = "host.time.among-many"
+    EXPECTATION = "Each of the two ends by its time limit, however many calls end before."
+    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+
+    def _run(self, host: Host) -> None:
+        count, limit_ms = 100, 12 * host.silence_ms
+        unanswered = (f"call @6 02 {limit_ms}", f"call @6 03 {limit_ms + 1}")
+        host.job(" ; ".join((f"together repeat {count} call @6 01 {host.limit_ms}", *unanswered)))
+        began_s = host.link.now_s()
+        while (request := host.request_or_end()) is not None:
+            if request.payload == b"\x01":
+                host.reply(request, 1, b"\x01")
+        took_ms = (host.link.now_s() - began_s) * 1e3
+        ends = [Outcome.parse(part).text for part in host.outcome().whole.split(" ; ")]
+        if "unsupported" in ends:
+            skip("the host program repeats no call beside others")
+        if ends != ["reply 1 01", "timeout", "timeout"]:
+            fail(f"the calls ended as {ends}", suspect=ends[0] == "timeout")
+        if took_ms > 2.5 * limit_ms:
+            fail(f"the calls with a limit of {limit_ms} ms took {took_ms:.0f} ms", suspect=True)
+        self.next_call(host)
 
 
 def ends_within(host: Host, began_s: float, limit_ms: int, factor: float) -> Outcome:
