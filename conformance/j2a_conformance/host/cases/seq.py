@@ -67,12 +67,17 @@ class _Stalled(HostCase):
     LEVEL: Level = "core"
 
     @staticmethod
+    def learn_echo(host: Host) -> None:
+        """Have the host call a2jEcho, so that it knows the opcode that barriers need."""
+        host.do(f"call {c.GET_ECHO} - {host.limit_ms}", f"reply {c.ECHO} -")
+
+    @staticmethod
     def stall(host: Host, late: int = 0) -> tuple[list[Request], Request | None]:
         """Leave 256 calls unanswered, and some more; return them, and the barrier if one comes.
 
         After 200 calls the one before number `late` is answered, so that as many seqs are free.
         """
-        host.do(f"call {c.GET_ECHO} - {host.limit_ms}", f"reply {c.ECHO} -")  # it knows the opcode
+        _Stalled.learn_echo(host)
         limit_ms = max(host.silence_ms // 60, 1)
         host.job(f"repeat {_SEQS + 20} call @6 73 {limit_ms}")
         given_up = [host.request(6, b"s") for _ in range(_EARLY)]
@@ -158,6 +163,37 @@ class Stalled(_Stalled):
             host.send(found.reply(c.ECHO, found.payload))
             host.replied(found, is_echo=True)
         self.ended(host)
+
+
+class StalledRefused(_Stalled):
+    """Refuses 256 calls by the errors 0xF2, 0xF3 and 0xF4, in turn, and has the host make 20 more;
+    answers the barrier, or the last call where none comes.
+    """
+
+    ID = "host.seq.stalled-refused"
+    EXPECTATION = (
+        "256 calls have 256 different seqs, for the seq of an error reply may be wrong; the others "
+        "fail as `stalled`, and nothing but a barrier is sent."
+    )
+    REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-003")
+
+    def _run(self, host: Host) -> None:
+        self.learn_echo(host)
+        # Only a host that waits on for the replies needs all of this time.
+        host.job(f"repeat {_SEQS + 20} call @6 73 {max(host.silence_ms // 12, 1)}")
+        for number in range(_SEQS):
+            last = host.request(6, b"s")
+            # Not by `host.reply`: it leaves all of these requests outstanding.
+            host.send(last.reply(sorted(DAMAGE)[number % len(DAMAGE)], b"\x04\x00"))
+        found = barrier(host, _BARRIER_MS)
+        if found is None:
+            host.reply(last, 1, b"late")
+        else:
+            host.send(found.reply(c.ECHO, found.payload))
+            host.replied(found, is_echo=True)
+        self.ended(host)
+        host.reply(host.asked(b"next"), 1, b"next")
+        host.replied_with(1, b"next")
 
 
 class StalledLate(_Stalled):
