@@ -23,6 +23,7 @@ from .types import described
 _ADD = "add(a i32, b i32) i32\n"
 _RXBUF = 4096
 _REST_MS = 30.0
+_STALLED_MS = 200.0
 
 
 def booting(functions: str = _ADD, before: int = 0, **changes: str) -> Device:
@@ -85,6 +86,18 @@ def _end_a_call(host: Host, device: Device | None = None) -> Request:
     boot(host, device)
     _restarted(host.outcome("restarted"))
     return request
+
+
+def _rest(host: Host) -> None:
+    """Restart, and refuse what the host asks by itself.
+
+    That has a time limit of its own, for which a job and its report may have to wait.
+    """
+    _end_a_call(host, replace(BOOTING, mapping=(c.ERR_CHECKSUM, b"\x04\x00")))
+    host.requests(1, _REST_MS)
+    # What waited for its turn behind the call for this job comes before the call of the job.
+    host.reply(host.asked(b"rest"), c.RET_OK, b"rest")
+    host.replied_with(c.RET_OK, b"rest")
 
 
 class _BootCase(HostCase):
@@ -375,6 +388,65 @@ class Room(_BootCase):
             host.outcome("reply 0 -")
 
 
+class Stalled(_BootCase):
+    """Restarts and leaves 256 calls without an answer; then restarts while no seq is free. Answers
+    nothing until the host has come to rest, and then the last call, or the barrier.
+    """
+
+    ID = "host.boot.stalled"
+    EXPECTATION = (
+        "A restart ends no request that is on its way: while 256 are, nothing is sent, and no "
+        "barrier by what was learnt before. Calls go on as soon as a reply comes."
+    )
+    REQUIREMENTS = ("J2A-SEQ-006", "J2A-BOOT-004", "J2A-BOOT-005")
+
+    def _judge(self, host: Host) -> None:
+        echo = f"call {c.GET_ECHO} - {host.limit_ms}", f"reply {c.ECHO} -"
+        host.do(*echo)
+        _rest(host)
+        host.device = BOOTING
+        last, found = self._stall(host)
+        if found is not None:
+            fail("a barrier came, though its opcode is not known since the restart")
+        self._answer(host, last, None)
+        host.do(*echo)
+        last, found = self._stall(host)
+        boot(host)
+        for request in host.requests(1, _STALLED_MS):
+            fail(f"opcode {request.opcode} came behind a restart while no seq was free")
+        self._answer(host, last, found)
+
+    @staticmethod
+    def _stall(host: Host) -> tuple[Request, Request | None]:
+        """Leave 256 calls without an answer; return the last, and a barrier if one comes."""
+        found: Request | None = None
+        host.job(f"repeat 300 call @6 73 {max(host.silence_ms // 60, 1)}")
+        host.answers = 0
+        last = host.request(6, b"s")
+        while some := host.requests(1, _STALLED_MS):
+            if host.device.is_barrier(some[0].opcode, some[0].payload):
+                found = some[0]
+            else:
+                last = some[0]
+        return last, found
+
+    @staticmethod
+    def _answer(host: Host, last: Request, found: Request | None) -> None:
+        """Answer the barrier or else the last call; judge that calls go on."""
+        host.answers = math.inf
+        if found is None:
+            host.reply(last, c.RET_OK, b"late")
+        else:
+            host.send(found.reply(c.ECHO, found.payload))
+            host.replied(found, is_echo=True)
+        while (request := host.request_or_end()) is not None:
+            if (request.opcode, request.payload) != (6, b"s"):
+                fail(f"opcode {request.opcode} came, which no job asked for")
+        host.outcome("stalled", "timeout", "restarted")
+        host.reply(host.asked(b"next"), c.RET_OK, b"right")
+        host.replied_with(c.RET_OK, b"right")
+
+
 class Silent(_BootCase):
     """Restarts, and then answers no question about itself, or only the first one or two; has the
     host call by name, by opcode with a long payload and by a signature, and read.
@@ -392,7 +464,7 @@ class Silent(_BootCase):
         # Those that need the interface ask the most.
         plans = [(0, job) for job in jobs] + [(1, long_call), (1, jobs[2]), (2, jobs[2])]
         for answers, job in plans:
-            self._rest(host)
+            _rest(host)
             host.device, host.answers = BOOTING, answers
             try:
                 host.job(f"{job} {limit_ms}")
@@ -403,18 +475,6 @@ class Silent(_BootCase):
                 fail(f"the host reports `{outcome.whole}`, but nothing was answered")
             host.reply(host.asked(b"next"), c.RET_OK, b"next")
             host.replied_with(c.RET_OK, b"next")
-
-    @staticmethod
-    def _rest(host: Host) -> None:
-        """Restart, and refuse what the host asks by itself.
-
-        That has a time limit of its own, for which a job and its report may have to wait.
-        """
-        _end_a_call(host, replace(BOOTING, mapping=(c.ERR_CHECKSUM, b"\x04\x00")))
-        host.requests(1, _REST_MS)
-        # What waited for its turn behind the call for this job comes before the call of the job.
-        host.reply(host.asked(b"rest"), c.RET_OK, b"rest")
-        host.replied_with(c.RET_OK, b"rest")
 
 
 class Others(HostCase):
