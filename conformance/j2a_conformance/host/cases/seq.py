@@ -1,11 +1,14 @@
 """Sequence numbers: which the host uses, and which replies it takes (J2A-SEQ)."""
 
+from dataclasses import replace
+
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
 from j2a_spec.requirements import Level
 
-from j2a_conformance._judge import fail
+from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._device import DEMO
 from j2a_conformance.host._dimensions import content, frame
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Request
@@ -194,6 +197,42 @@ class StalledRefused(_Stalled):
         self.ended(host)
         host.reply(host.asked(b"next"), 1, b"next")
         host.replied_with(1, b"next")
+
+
+class StalledTogether(_Stalled):
+    """Refuses 255 calls that the host makes in two threads by the error 0xF3, and leaves the next
+    one without an answer for a while; is a device without j2a.rxbuf, and one whose j2a.rxbuf is
+    less than one of these requests.
+    """
+
+    ID = "host.seq.stalled-together"
+    EXPECTATION = "Nothing is sent while the call waits, not even a barrier."
+    REQUIREMENTS = ("J2A-LIMIT-003", "J2A-SEQ-006", "J2A-SEQ-007")
+
+    def _run(self, host: Host) -> None:
+        for known in ((), ((c.PROP_RXBUF, "10"),)):
+            host.become(replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), *known)))
+            self.learn_echo(host)
+            calls = f"repeat {_SEQS} call @6 8*73 {host.limit_ms}"
+            host.job(f"together {calls} ; {calls}")
+            last = host.request(6, b"s" * 8)
+            for _ in range(_SEQS - 1):
+                # Not by `host.reply`: it leaves all of these requests outstanding.
+                host.send(last.reply(c.ERR_CHECKSUM, b"\x04\x00"))
+                if not host.has_sent(host.limit_ms / 3e3):
+                    self._end(host, last)
+                    inform("the host does not take an error reply for the end of a call")
+                last = host.request(6, b"s" * 8)
+            for request in host.requests(1, _BARRIER_MS):
+                fail(f"opcode {request.opcode} came while a call waited (J2A-LIMIT-003)")
+            self._end(host, last)
+
+    @staticmethod
+    def _end(host: Host, request: Request | None) -> None:
+        while request is not None:
+            host.reply(request, 1, b"end")
+            request = host.request_or_end()
+        host.outcome()
 
 
 class StalledLate(_Stalled):
