@@ -464,9 +464,9 @@ class ReferenceHost:
 
     def write_many(self, func: int, data: bytes, limit_s: float) -> None:
         self.check_version()
-        if self.is_old() and len(data) > 249 + 256:
-            raise OutcomeError("refused an old device")
         size = self.chunk_size()
+        if self.is_old() and (len(data) - 1) // size * size > 255:
+            raise OutcomeError("refused an old device")
         for offset in range(0, max(len(data), 1), size):
             is_last = offset + size >= len(data)
             flags = self.write_flags(is_last)

@@ -51,8 +51,10 @@ class WriteChunks(HostCase):
             host.become(replace(DEMO, offset_mask=0xFF, properties=known))
             most = (c.MAX_PAYLOAD // chunk + 1) * chunk  # the last chunk begins at 255 or before
             for size in (256, most, most + 1, most + chunk, most + chunk + 1):
-                # A host whose chunks are shorter may have to refuse more.
-                accepted = ("written",) if size <= 256 else ("written", *_REFUSED)
-                accepted = _REFUSED if size > c.MAX_PAYLOAD + chunk else accepted
+                accepted: tuple[str, ...] = ("written",)
+                if size > c.MAX_PAYLOAD + chunk:
+                    accepted = _REFUSED
+                elif size > 256:  # a host whose chunks are shorter may have to refuse it
+                    accepted += _REFUSED
                 _, requests = host.do(f"write {STORE} {size}*5a {host.limit_ms}", *accepted)
                 judge_offsets(requests)
