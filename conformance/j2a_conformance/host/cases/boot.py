@@ -388,12 +388,12 @@ class Room(_BootCase):
             host.outcome("reply 0 -")
 
 
-class Stalled(_BootCase):
+class NoSeq(_BootCase):
     """Restarts and leaves 256 calls without an answer; then restarts while no seq is free. Answers
     nothing until the host has come to rest, and then the last call, or the barrier.
     """
 
-    ID = "host.boot.stalled"
+    ID = "host.boot.no-seq"
     EXPECTATION = (
         "A restart ends no request that is on its way: while 256 are, nothing is sent, and no "
         "barrier by what was learnt before. Calls go on as soon as a reply comes."
