@@ -165,7 +165,7 @@ class ClockBase:
     @property
     def _can_be_set(self) -> bool:
         client = self._client_ref()
-        return client is not None and c.CLOCK in client._device.names
+        return client is not None and client._device.has_clock
 
     @property
     def _has_restarted(self) -> bool:
@@ -343,7 +343,7 @@ class ClockBase:
         device = client._device
         # A board with the capability clock needs no transducers, which a slow link may not bring
         # within the limit of an exchange.
-        is_known = c.CLOCK in device.names or device.asked_for_transducers
+        is_known = device.has_clock or device.asked_for_transducers
         if client._is_stale or not is_known:
             yield from client._load_functions()
         restarts = client._session.restarts
@@ -351,8 +351,7 @@ class ClockBase:
             with self._alone:
                 self._restarts = restarts
                 self._discipline.reset()
-        functions = device.names
-        if c.CLOCK in functions:
+        if device.has_clock:
             return
         if to_set:
             raise NoClock(
@@ -360,7 +359,7 @@ class ClockBase:
                 "clock; build its firmware with J2A_WITH_SYNC=1"
             )
         known = device.descriptors
-        if c.TRANSD not in functions or known is None or not known.transducers:
+        if c.TRANSD not in device.names or known is None or not known.transducers:
             raise NoClock(
                 f"{self._url} tells no time: the board has neither the capability clock nor "
                 "transducers; build its firmware with J2A_WITH_SYNC=1"

@@ -14,8 +14,10 @@ from functools import partial
 from typing import Final, TypeVar
 
 from j2a_spec.constants import (
+    CAP_CLOCK,
     CAP_INTERFACE,
     CAP_TRANSDUCERS,
+    CLOCK,
     GET_ECHO_MANY,
     GET_INTERFACE,
     GET_MAPPING,
@@ -276,6 +278,11 @@ class DeviceInfo:
     def _take_sifs(self, sifs: Sequence[SifShape]) -> None:
         self.sif_types = self.types
         self.sifs = {sif.name: sif for sif in sifs}
+
+    @property
+    def has_clock(self) -> bool:
+        """The device announces the capability clock (J2A-CAP-003), and has its function."""
+        return CAP_CLOCK in self.announced.capabilities and CLOCK in self.names
 
     def learn_interface(self) -> Transfer[J2AError | None]:
         """Learn what the functions take and return, where the device tells it.

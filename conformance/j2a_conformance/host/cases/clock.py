@@ -22,6 +22,7 @@ from j2a_spec.grammar import (
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, FETCH, PING, STORE
+from j2a_conformance.host._dimensions import resembling
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Outcome, Request
 
@@ -255,6 +256,30 @@ class Nonces(_ClockCase):
         steps = {b - a for a, b in pairwise(device.nonces)}
         if len(steps) < len(device.nonces) // 2:
             fail("the nonces follow from each other")
+
+
+class NotAnnounced(_ClockCase):
+    """Is a board that has a2jClock, but announces no capability, or tokens that resemble that of
+    the clock.
+    """
+
+    ID = "host.clock.not-announced"
+    EXPECTATION = "The clock is not asked; calls go on."
+    REQUIREMENTS = ("J2A-CAP-003", "J2A-CAP-002")
+
+    def _run(self, host: Host) -> None:
+        self._exchange(_Scripted(host), "exchanged")
+        known = tuple(p for p in BOARD.properties or () if p[0] != c.PROP_CAPS)
+        for caps in (None, *resembling(c.CAP_CLOCK)):
+            more = () if caps is None else ((c.PROP_CAPS, caps),)
+            host.become(replace(BOARD, properties=known + more))
+            for job in ("clock-exchange", "clock-measure", "clock-sync"):
+                _, requests = host.do(f"{job} 1 {host.limit_ms}", "refused", "failed")
+                if requests:
+                    fail(f"the clock was asked of a device that announces {caps!r}")
+            host.reply(host.asked(), 1, b"next")
+            host.replied_with(1, b"next")
+        host.become(BOARD)
 
 
 class Asked(_ClockCase):
