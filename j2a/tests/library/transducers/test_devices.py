@@ -131,27 +131,25 @@ class TestVirtualBoards:
 
     def test_it_measures_once_whoever_begins(self, monkeypatch):
         begun, goes_on, start = threading.Event(), threading.Event(), threading.Thread.start
+        waves = []
 
         def slow(thread):
             start(thread)
             if thread.name == "j2a waves":
+                waves.append(thread)
                 begun.set()
                 goes_on.wait(PATIENCE_S)
 
-        def waves():
-            return [one for one in threading.enumerate() if one.name == "j2a waves"]
-
-        before = len(waves())
         with VirtualBoard(read_transds(FILE)) as device:
             monkeypatch.setattr(threading.Thread, "start", slow)
             first = Background(device.measure)
             assert begun.wait(PATIENCE_S)
             second = Background(device.measure)
             second.join(0.05)
-            assert len(waves()) == before + 1
             goes_on.set()
             first.result()
             second.result()
+        assert len(waves) == 1
 
     def test_two_sensors_are_triggered_at_one_time(self):
         """Neither measures before, and both once; each request would do so at a time of its own."""
