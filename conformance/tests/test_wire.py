@@ -11,6 +11,7 @@ from j2a_conformance.reports._annotate import annotate
 from j2a_conformance.wire._link import _SIFS_KEPT, Link, Splitter
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, Incomplete, Skipped, decode, encode
+from j2a_transports import pair
 
 FRAMES = st.builds(
     Frame,
@@ -106,3 +107,20 @@ def test_a_few_sifs_are_all_kept():
     seen = list(link.sifs)
     link.begin()
     assert link.sifs == seen
+
+
+@pytest.mark.parametrize("start", [c.SOF, c.SOS])
+def test_rest_leaves_a_sif_that_has_begun(start):
+    """So does each beginning of it; those of other frames are dropped."""
+    wire = encode(Frame(start, 0x7D, 1, b"\x12\x00\xed"))
+    for cut in range(1, len(wire)):
+        host, device = pair()
+        link = Link(host)
+        device.write(wire[:cut])
+        assert link.settle(0.0, 60.0)
+        device.write(wire[cut:])
+        device.write(good := encode(Frame(c.SOF, 5, 0)))
+        events = [arrival.event for arrival in link.arrivals(0.0)]
+        assert events[-1:] == decode(good)
+        assert [sif.event for sif in link.sifs] == (decode(wire) if start == c.SOS else [])
+        assert len(events) > 1 or start == c.SOS

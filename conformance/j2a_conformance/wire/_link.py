@@ -25,6 +25,7 @@ _EVIDENCE_KEPT: Final = 40
 _SENT_KEPT: Final = 256  # writes; enough to find the request of any seq again
 _SIFS_KEPT: Final = 8192  # of the cases before; a sensor at 100 Hz sends fewer in a minute
 _SEQS: Final = 256
+_SOS: Final = bytes((c.SOS,))
 _SPIN_S: Final = 0.0015
 _REPLY_S: Final = 5.0  # a device in an emulator stands still as long as its machine does
 _LOSS_S: Final = 0.05  # more than a device takes to give up a frame (J2A-TIME-002)
@@ -272,11 +273,16 @@ class Link:
         return self._splitter.tail
 
     def settle(self, quiet_s: float, at_most_s: float) -> bool:
-        """Drop what comes until nothing but SIFs came for `quiet_s`; tell whether that was so."""
+        """Drop what comes until nothing but SIFs came for `quiet_s`; tell whether that was so.
+
+        The beginning of a SIF stays: its rest is on its way from a device that sends SIFs all the
+        time, or that stalls amid one.
+        """
         deadline_s = self.now_s() + at_most_s
         while not (quiet := self.next(quiet_s) is None) and self.now_s() < deadline_s:
             pass
-        self._splitter.tail = b""
+        if not self._splitter.tail.startswith(_SOS):
+            self._splitter.tail = b""
         return quiet
 
     def replace(self, transport: Transport) -> None:
