@@ -273,6 +273,10 @@ class Host:
                 found.append(request)
         return found
 
+    def waiting(self, at_most: int, quiet_ms: float) -> list[Request]:
+        """Return the next request, which must come, and those behind it as `requests` does."""
+        return [self.request(), *self.requests(at_most - 1, quiet_ms)]
+
     def asked(self, payload: bytes = b"", limit_ms: int = 0) -> Request:
         """Have the host call `ping` by its opcode, and return its request."""
         opcode = self.device.opcode(PING)

@@ -24,6 +24,8 @@ _ADD = "add(a i32, b i32) i32\n"
 _RXBUF = 4096
 _REST_MS = 30.0
 _STALLED_MS = 200.0
+_ONE_MORE_MS = 60.0
+_ALL_MS = 500.0  # where a stall must not look like a host that makes one call at a time
 
 
 def booting(functions: str = _ADD, before: int = 0, **changes: str) -> Device:
@@ -163,7 +165,7 @@ class EndsAll(_BootCase):
             opcode = host.device.opcode(PING)
             call = f"call @{opcode} aa {host.limit_ms}"
             host.job("together " + " ; ".join([call] * count))
-            requests = host.requests(count, 60)
+            requests = host.waiting(count, _ALL_MS)
             boot(host)
             report = host.outcome().whole
             outcomes = [Outcome.parse(text) for text in report.split(" ; ")]
@@ -377,7 +379,7 @@ class Room(_BootCase):
             call = f"call @{opcode} aa {host.limit_ms}"
             host.job(" ; ".join([f"together {call}", call, call]))
             for left in range(3, 0, -1):
-                came = host.requests(2, 60)
+                came = host.waiting(2, _ONE_MORE_MS)
                 if len(came) > 1:
                     fail(f"{len(came)} of {left} requests came at once without j2a.rxbuf")
                 host.reply(came[0], c.RET_OK, b"")

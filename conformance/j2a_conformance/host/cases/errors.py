@@ -106,7 +106,7 @@ class Foreign(HostCase):
         host.reply(request, 2, b"mine")
         host.replied_with(2, b"mine")
         host.job("together " + " ; ".join(f"call @6 0{n} {host.limit_ms}" for n in range(1, 4)))
-        waiting = host.requests(3, _QUIET_MS) or [host.request()]
+        waiting = host.waiting(3, _QUIET_MS)
         self.errors(host, {one.seq for one in waiting})
         for one in waiting:
             host.reply(one, 1, one.payload)
@@ -177,7 +177,7 @@ class Hint(HostCase):
         # The end of this time is what a call waits for whose reply does not come.
         limit_ms = host.limit_ms if is_answered else _UNANSWERED * host.silence_ms
         host.job("together " + " ; ".join(f"call @6 0{n} {limit_ms}" for n in range(1, 4)))
-        waiting = host.requests(3, _QUIET_MS) or [host.request()]
+        waiting = host.waiting(3, _QUIET_MS)
         if not is_answered and len(waiting) < 3:
             host.serve()
             fail("not all of three calls came at once, as they did before", suspect=True)

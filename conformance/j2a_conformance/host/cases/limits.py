@@ -108,7 +108,7 @@ class OutOfOrder(HostCase):
     def _run(self, host: Host) -> None:
         payloads = [b"\x01", b"\x02", b"\x03"]
         together(host, *(payload.hex() for payload in payloads))
-        requests = host.requests(len(payloads), _LONG_QUIET_MS)
+        requests = host.waiting(len(payloads), _LONG_QUIET_MS)
         if len(requests) < len(payloads):
             for request in requests:
                 host.reply(request, 1, request.payload)

@@ -28,7 +28,7 @@ class ReservedAmong(HostCase):
     def _run(self, host: Host) -> None:
         for code in _RESERVED:
             together(host, "01", "02")
-            requests = host.requests(2, _QUIET_MS)
+            requests = host.waiting(2, _QUIET_MS)
             if len(requests) < 2:
                 host.reply(requests[0], 1, requests[0].payload)
                 serve(host, 1, host.device.rxbuf)
