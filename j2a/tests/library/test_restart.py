@@ -89,12 +89,12 @@ def new_firmware(**options):
 
 
 @contextlib.contextmanager
-def connected(device, *, says=True, **options):
+def connected(device, *, says=True, timeout=PATIENCE_S, **options):
     """A board, as it is after a reset, and a client that has learnt what it has."""
     with Rebooting(device) as board:
         if says:
             board.reset()
-        with j2a.Client(board.near, timeout=PATIENCE_S, **options) as client:
+        with j2a.Client(board.near, timeout=timeout, **options) as client:
             client.refresh()
             yield board, client
 
@@ -407,7 +407,7 @@ class TestCalls:
                     client.call(raw, bytes(length))
 
     def test_a_device_that_does_not_answer_after_its_restart(self):
-        with connected(old_firmware()) as (board, client):
+        with connected(old_firmware(), timeout=2.0) as (board, client):
             client.on_restart(lambda _restart: None)
             board.reset()
             board.is_mute = True
@@ -417,7 +417,8 @@ class TestCalls:
                 client.call("raw", b"", timeout=0.05)
             assert caught.value.outcome is Outcome.NOT_SENT
             board.is_mute = False
-            assert client.call("raw", b"x").payload == b"x"
+            # It may have to wait until the question for the map is given up.
+            assert client.call("raw", b"x", timeout=PATIENCE_S).payload == b"x"
 
     def test_another_restart_while_the_map_is_fetched(self):
         with connected(old_firmware()) as (board, client):
