@@ -90,7 +90,16 @@ uint8_t ret(uint8_t *const length, uint8_t **const payload) {
   return code;
 }
 
-J2A_FUNCTIONS(J2A_CALL(stimulus, stimulus), J2A_CALL(ret, ret));
+/* Returns after so many milliseconds. */
+uint8_t wait(uint8_t *const length, uint8_t **const payload) {
+  if (*length != 2)
+    return J2A_RET_FAILED;
+  delay(j2a_get_u16(*payload));
+  *length = 0;
+  return J2A_RET_OK;
+}
+
+J2A_FUNCTIONS(J2A_CALL(stimulus, stimulus), J2A_CALL(ret, ret), J2A_CALL(delay, wait));
 J2A_PROPERTIES(J2A_PROPERTY("name", "J2A transducers"));
 
 void setup() {
