@@ -257,6 +257,53 @@ def test_debug_text_is_taken_oldest_first_and_its_loss_is_told(call):
     assert [len(answer.payload) for answer in answers] == [255, 255, 255, 255, 4, 0]
 
 
+SAYS = """
+#include "j2a_functions.h"
+
+uint8_t say(uint8_t *const length, uint8_t **const payload) {
+    (*payload)[*length] = 0;
+    j2a_debug((const char *)*payload);
+    *length = 0;
+    return 0;
+}
+
+void j2a_app_task(void) {
+}
+"""
+DEBUG_BYTES = 8
+
+
+@pytest.fixture(scope="module")
+def saying(build, tmp_path_factory):
+    """A device whose function `say` writes its payload into a small ring of debug text."""
+    folder = tmp_path_factory.mktemp("saying")
+    (folder / "app.c").write_text(SAYS)
+    (folder / "functions.def").write_text("J2A_CALL(say, say)\n")
+    (folder / "properties.def").write_text('J2A_PROPERTY("name", "saying")\n')
+    return build("saying", APP_DIR=folder, OPTIONS=f"-DJ2A_DEBUGBUF={DEBUG_BYTES}")
+
+
+@pytest.mark.requirement("J2A-DEBUG-001", "J2A-DEBUG-002")
+@pytest.mark.parametrize(
+    ("texts", "kept"),
+    [
+        (["1234567ä"], "1234567"),
+        (["123456€"], "123456"),
+        (["12345😀ä"], "12345"),
+        (["€€€"], "€€"),
+        (["12", "34567ä", "8"], "12345678"),  # there is room again for what comes later
+        (["12345678", "ä"], "12345678"),
+        (["123456ä", "9"], "123456ä"),
+    ],
+)
+def test_debug_text_is_cut_between_characters(saying, ask, texts, kept):
+    say, get = len(c.BUILTINS), OPCODE[c.GET_DEBUG]
+    frames = [Frame(c.SOF, seq, say, text.encode()) for seq, text in enumerate(texts)]
+    frames.append(Frame(c.SOF, len(texts), get))
+    *_, answer = ask(saying, b"".join(map(encode, frames)))
+    assert answer == reply(len(texts), c.DEBUG_LOST, kept.encode())
+
+
 def test_sif_goes_out_before_the_reply(call):
     payload = bytes(range(254))
     answers = call(("sif", b"\xf2" + payload), ("sif", b""), ("sif", b"\x00"))

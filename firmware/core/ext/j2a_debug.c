@@ -1,5 +1,5 @@
 /* Debug text: the application's text flows into a ring, the host takes it out with a2jDebug.
- * Rule: text that does not fit is dropped, and the host is told. */
+ * Rule: text that does not fit is dropped, by whole characters, and the host is told. */
 #include "j2a_internal.h"
 
 #if J2A_WITH_DEBUG
@@ -9,8 +9,12 @@ static uint16_t first, used;
 static bool lost;
 
 void j2a_debug(const char *text) {
+    uint16_t whole = used; /* up to the end of the last character */
     for (; *text; text++) {
+        if ((*text & 0xC0) != 0x80)
+            whole = used;
         if (used == J2A_DEBUGBUF) {
+            used = whole;
             lost = true;
             return;
         }
