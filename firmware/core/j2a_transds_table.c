@@ -20,13 +20,18 @@
 #define J2A_ADD_ONE(...) + 1
 #define J2A_ADD_TEXT(...) #__VA_ARGS__
 #define J2A_SAYS_period_period ~, J2A_ADD
+#define J2A_SAYS_enabled_enabled ~, J2A_ADD
 #define J2A_SAYS_disabled_enabled ~, J2A_ADD_DISABLED
 #define J2A_ADD_DISABLED(number) + !(number)
 #define J2A_SAYS_queue_queue ~, J2A_ADD
 #define J2A_SAYS_queued_queue ~, J2A_ADD_ONE
 #define J2A_SAYS_decimation_decimation ~, J2A_ADD
+#define J2A_SAYS_decimated_decimation ~, J2A_ADD_ONE
 #define J2A_SAYS_threshold_threshold ~, J2A_ADD_ONE
 #define J2A_SAYS_range_range ~, J2A_ADD_ONE
+#define J2A_SAYS_reversed_range ~, J2A_ADD_REVERSED
+/* Not low > high, which compilers warn of where it is 0 and the other one unsigned. */
+#define J2A_ADD_REVERSED(low, high) + !(0LL + (low) < 0LL + (high) || (low) == (high))
 #define J2A_SAYS_topic_topic ~, J2A_ADD_ONE
 #define J2A_SAYS_topictext_topic ~, J2A_ADD_TEXT
 #define J2A_SAYS_trigger_trigger ~, J2A_ADD_ONE
@@ -48,6 +53,12 @@
 #define J2A_SAYS_unit_unit ~, J2A_ADD_UNIT
 #define J2A_ADD_UNIT(...) " " #__VA_ARGS__
 #define J2A_SAY(which, ...) J2A_EACH(J2A_KEY, J2A_KEY, J2A_NOTHING, which, __VA_ARGS__)
+
+/* An enumerator for each key, so that one that comes twice is an error. */
+#define J2A_ONCE(name, item) J2A_PASTE6(J2A_ONCE_, J2A_IN_PARENTHESES(item))(name, item)
+#define J2A_ONCE_0(name, item)
+#define J2A_ONCE_1(name, item) J2A_APPLY(J2A_ONCE_KEY, name, J2A_FIRST item)
+#define J2A_ONCE_KEY(name, key) the_key_##key##_of_##name,
 
 /* ------------------------------------------------------------------------- types ------ */
 
@@ -82,17 +93,22 @@
 
 /* The raw values that a transds.def gives: puts one into `to`, returns false where it gives none. */
 #define J2A_RAW(name, type, na, ...) J2A_PASTE7(J2A_RAW_OF_, J2A_ORDER(type))(name, type, na, __VA_ARGS__)
-#define J2A_RAW_OF_unsigned(name, type, na, ...) J2A_RAW_FUNCTION(, name, type, na, __VA_ARGS__)
-#define J2A_RAW_OF_signed(name, type, na, ...) J2A_RAW_FUNCTION(, name, type, na, __VA_ARGS__)
+#define J2A_RAW_OF_unsigned(name, type, na, ...) \
+    J2A_RAW_FUNCTION(J2A_IN_ORDER(__VA_ARGS__), name, type, na, __VA_ARGS__)
+#define J2A_RAW_OF_signed J2A_RAW_OF_unsigned
 #define J2A_RAW_OF_f32(name, type, na, ...) J2A_RAW_FUNCTION(J2A_NAN, name, type, na, __VA_ARGS__)
 #define J2A_RAW_OF_f64(name, type, na, ...) J2A_RAW_FUNCTION(J2A_NAN, name, type, na, __VA_ARGS__)
 #define J2A_RAW_OF_none(name, type, na, ...)
 #define J2A_RAW_OF_named(type) J2A_RAW_OF_NAMED
-#define J2A_RAW_OF_NAMED(name, type, na, ...) J2A_RAW_FUNCTION(, name, raw_##type, na, __VA_ARGS__)
+#define J2A_RAW_OF_NAMED(name, type, na, ...) \
+    J2A_RAW_FUNCTION(J2A_IN_ORDER(__VA_ARGS__), name, raw_##type, na, __VA_ARGS__)
 #define J2A_RAW_OR_NOT(order, name) \
     J2A_INNER_SECOND(J2A_RAW_OR_NOT_##order, (J2A_HAS_RAW(order) ? j2a_raw_of_##name : 0))
 #define J2A_RAW_OR_NOT_none ~, 0
 #define J2A_IS_NONE(text) (sizeof text == 5 && text[0] == 'n' && text[1] == 'o')
+/* Of integers: no comparison of floating-point numbers is an integer constant expression. */
+#define J2A_IN_ORDER(...) \
+    enum { the_lowest_value_of_range_comes_first = 1 / !(0 J2A_SAY(reversed, __VA_ARGS__)) };
 #define J2A_NAN \
     const float nan = 0.0f / 0.0f; \
     (void)nan;
@@ -169,6 +185,9 @@ enum {
     J2A_KEPT_##KIND(name, prefix, channels, J2A_VALUE_TYPE(type), __VA_ARGS__)
 #define J2A_KEPT(name, id, channels, type, na, ...) \
     enum { \
+        the_key_prefix_of_##name, \
+        the_key_model_of_##name, \
+        J2A_EACH(J2A_ONCE, J2A_ONCE, J2A_NOTHING, name, __VA_ARGS__) \
         j2a_bytes_of_##name = 0 J2A_BYTES(~, (type, value)), \
         j2a_bools_of_##name = 0 J2A_BOOLS(~, (type, value)), \
         j2a_depth_of_##name = 0 J2A_SAY(queue, __VA_ARGS__), \
@@ -186,6 +205,13 @@ enum {
             (0 J2A_SAY(threshold, __VA_ARGS__)) == 0 && (0 J2A_SAY(range, __VA_ARGS__)) == 0)), \
         queue_of_##name##_is_1_to_255 = 1 / \
             (j2a_depth_of_##name >= (0 J2A_SAY(queued, __VA_ARGS__)) && j2a_depth_of_##name <= 255), \
+        decimation_of_##name##_is_1_to_255 = 1 / \
+            ((0 J2A_SAY(decimation, __VA_ARGS__)) >= (0 J2A_SAY(decimated, __VA_ARGS__)) && \
+            (0 J2A_SAY(decimation, __VA_ARGS__)) <= 255), \
+        /* unsigned, so that a negative one is too large */ \
+        period_of_##name##_is_0_to_4294967295 = 1 / ((0ULL J2A_SAY(period, __VA_ARGS__)) <= 0xFFFFFFFF), \
+        watchdog_of_##name##_is_0_to_65535 = 1 / ((0ULL J2A_SAY(watchdog, __VA_ARGS__)) <= 0xFFFF), \
+        enabled_of_##name##_is_0_or_1 = 1 / ((0ULL J2A_SAY(enabled, __VA_ARGS__)) <= 1), \
         topic_of_##name##_is_longer_than_32_bytes = 1 / \
             (sizeof("" J2A_SAY(topictext, __VA_ARGS__)) <= J2A_TRANSD_MAX_TOPIC + 1), \
         a_sample_of_##name##_is_longer_than_a_frame = 1 / (j2a_most_of_##name >= 1 && \
@@ -212,6 +238,7 @@ enum {
         J2A_EACH(J2A_DRIVER_ITEM, J2A_DRIVER_ITEM, J2A_NOTHING, prefix, __VA_ARGS__) \
     } \
     enum { \
+        the_key_na_of_##name, \
         j2a_is_newest_of_##name = j2a_depth_of_##name == 0 && \
             (0 J2A_SAY(decimation, __VA_ARGS__)) == 0 && (0 J2A_SAY(threshold, __VA_ARGS__)) == 0 \
     }; \
@@ -226,7 +253,7 @@ enum {
                      j2a_bytes_of_##name); \
     }
 #define J2A_KEPT_ACTUATOR(name, prefix, channels, type, ...) \
-    enum { queue_of_##name##_which_is_no_sensor = 1 / (j2a_depth_of_##name == 0) }; \
+    enum { the_key_safe_of_##name, queue_of_##name##_which_is_no_sensor = 1 / (j2a_depth_of_##name == 0) }; \
     static j2a_due j2a_waiting_of_##name[channels]; \
     static uint8_t j2a_values_of_##name[(channels) * j2a_bytes_of_##name]; \
     static j2a_watchdog j2a_watchdog_of_##name = {0 J2A_SAY(watchdog, __VA_ARGS__), false}; \

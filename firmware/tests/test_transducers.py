@@ -215,6 +215,7 @@ void j2a_app_task(void) { transds_process(); }
 """
 
 
+REVERSED = "the_lowest_value_of_range_comes_first"
 NO_RAW = "threshold_range_and_na_of_a_need_a_number_or_an_enumeration"
 
 
@@ -254,22 +255,66 @@ class TestWrongLists:
                     f"{kind}, 0",
                 )
             ),
+            *(
+                (ONE.replace("none{more}", f"none, {wrong}"), said)
+                for wrong, said in (
+                    ("(period, -1)", "period_of_a_is_0_to_4294967295"),
+                    ("(period, 4294967296)", "period_of_a_is_0_to_4294967295"),
+                    ("(decimation, 0)", "decimation_of_a_is_1_to_255"),
+                    ("(decimation, 256)", "decimation_of_a_is_1_to_255"),
+                    ("(enabled, 2)", "enabled_of_a_is_0_or_1"),
+                    ("(watchdog, 65536)", "watchdog_of_a_is_0_to_65535"),
+                    ("(watchdog, -1)", "watchdog_of_a_is_0_to_65535"),
+                    ("(range, 2, 1)", REVERSED),
+                    ("(range, 1, 0)", REVERSED),
+                    ("(period, 1), (period, 1)", "the_key_period_of_a"),
+                    ("(trigger), (k, 1), (trigger)", "the_key_trigger_of_a"),
+                    ("(unit, mV), (unit, V)", "the_key_unit_of_a"),
+                    ("(k, 1), (other, 1), (k, f(x, y))", "the_key_k_of_a"),
+                    ("(na, 1)", "the_key_na_of_a"),
+                    ("(model, Y)", "the_key_model_of_a"),
+                    ("(prefix, b)", "the_key_prefix_of_a"),
+                )
+            ),
+            (ONE.replace("u8, none{more}", "i64, 0, (range, 0, -1)"), REVERSED),
+            (ONE.replace("u8, none{more}", "u64, 0, (range, 0xFFFFFFFFFFFFFFFF, 0)"), REVERSED),
+            (ONE.replace("u8, none{more}", "mood, 0, (range, 3, 2)"), REVERSED),
+            (
+                ONE.replace("SENSOR", "ACTUATOR").replace("none{more}", "0, (safe, 0)"),
+                "the_key_safe_of_a",
+            ),
             (ONE.replace("u8", "uint16_t"), "conflicting types for 'a_set_cb'"),
             (ONE.replace(" 1, a", " 1, c"), "a_set_cb"),  # nobody declares it, or calls it
         ],
     )
     def test_do_not_compile(self, need, tmp_path, transds, said):
         need("cc")
-        transds = "J2A_STRUCT(pair, (u8, x), (u8, y))\n" + transds
+        transds = f"J2A_STRUCT(pair, (u8, x), (u8, y))\nJ2A_ENUM(mood, u8, (well, 1))\n{transds}"
         folder = write_app(tmp_path / "app", transds.replace("{more}", ""), CODE, "")
         done = self.compiled(folder, tmp_path / "out")
         assert done.returncode != 0
         assert said in done.stderr.replace("\u2018", "'").replace("\u2019", "'")
 
-    @pytest.mark.parametrize("more", ["", ", (queue, 1)", f", (topic, {'t' * 32})"])
+    @pytest.mark.parametrize(
+        "more",
+        [
+            "u8, none",
+            "u8, none, (queue, 1)",
+            f"u8, none, (topic, {'t' * 32})",
+            "u8, none, (period, 4294967295), (decimation, 255), (enabled, 0), (safe, 1)",
+            "u8, none, (period, 0), (decimation, 1), (enabled, 1), (range, 0, 0)",
+            "i64, none, (range, -9223372036854775807, 0x7FFFFFFFFFFFFFFF)",
+            "i64, none, (range, -9, 0x80000000)",
+            "u64, none, (range, 0, 0xFFFFFFFFFFFFFFFF)",
+            "f32, none, (range, -0.5, 0.5)",
+        ],
+    )
     def test_the_right_one_does(self, need, tmp_path, more):
         need("cc")
-        folder = write_app(tmp_path / "app", ONE.replace("{more}", more), CODE, "")
+        kind = more.partition(",")[0]
+        c_type = {"f32": "float"}.get(kind, f"{kind.replace('i', 'int').replace('u', 'uint')}_t")
+        code = CODE.replace("uint8_t value", f"{c_type} value")
+        folder = write_app(tmp_path / "app", ONE.replace("u8, none{more}", more), code, "")
         done = self.compiled(folder, tmp_path / "out")
         assert done.returncode == 0, done.stderr
 
