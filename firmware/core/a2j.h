@@ -2,8 +2,8 @@
  * top of this core. In: one C file of the user with functions, jump table, properties and a main
  * loop in the old names. Out: the tables that the core expects. Such an app has no functions.def,
  * and its app.mk says OWN_MAIN := 1, and APP_OPTIONS := -std=gnu11 when it repeats the types. Rules: a
- * function's kind is taken from its type (needs GCC or Clang); a map longer than J2A_ROOM is only
- * refused at run time, by a2jGetMapping. */
+ * function's kind is taken from its type (needs GCC or Clang); a map that is longer than J2A_ROOM by names of
+ * the user is only refused at run time, by a2jGetMapping. */
 #ifndef A2J_H
 #define A2J_H
 
@@ -11,6 +11,12 @@
 
 #if !J2A_WITH_MANY
 #error "a2j.h needs J2A_WITH_MANY=1: its tables hold functions of both kinds"
+#endif
+
+/* A negative array size where not even the names of the built-in functions fit into the map. The first chunk of
+ * properties, below, is always shorter. */
+#if J2A_WITH_MAPPING
+typedef char j2a_names_longer_than_a_payload[J2A_BUILTIN_SIZE <= J2A_ROOM ? 1 : -1];
 #endif
 
 /* The listing's types; C11 allows them to be declared again. */

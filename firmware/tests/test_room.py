@@ -52,3 +52,14 @@ def test_a_room_that_is_no_decimal_number_stops_the_build(
     result = make(goal, OUT=tmp_path, OPTIONS="-DJ2A_ROOM=0x80")
     assert result.returncode != 0
     assert "j2a_room_is_not_decimal" in result.stderr
+
+
+@pytest.mark.parametrize("parts", ["", "-DJ2A_WITH_SYNC=1"])
+def test_a_table_of_the_thesis_needs_room_for_the_map(
+    make: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path, parts: str
+) -> None:
+    """Without the map no host finds the properties, whose first chunk could be too long as well."""
+    settings = {"APP_DIR": str(ROOT / "firmware/tests/listings"), "ROOM": "45", "OPTIONS": parts}
+    result = make(tmp_path / "listings.obj/app.o", APP="listings", OUT=tmp_path, **settings)
+    assert result.returncode != 0
+    assert "j2a_names_longer_than_a_payload" in result.stderr
