@@ -5,7 +5,6 @@ Rules: one actuator of a board is asked at a time, so an order waits for one cal
 from before the newest order is not used, or a slider would jump back.
 """
 
-import json
 import math
 import threading
 from typing import Any, Final
@@ -14,6 +13,7 @@ import j2a
 from j2a.cli.plugin import json_of, plain
 from j2a.types.model import Enumeration
 from j2a.types.transducers import Transducer
+from j2a_bridge.number_text import number_text, scaling_of
 from j2a_bridge.topics import Topic
 
 __all__ = ["ActuatorValues"]
@@ -74,26 +74,25 @@ class ActuatorValues:
 def _object(actuator: Transducer, reading: j2a.Reading) -> dict[str, Any]:
     """Return the value of a channel; one that was never set has the safe value, if any."""
     is_set = reading.time_us is not None
-    return {"text": _text(actuator, reading.value if is_set else _safe(actuator)), "is_set": is_set}
+    return {"text": _text(actuator, reading.raw if is_set else _safe(actuator)), "is_set": is_set}
 
 
 def _safe(actuator: Transducer) -> Any:
     raw, element = actuator.safe, actuator.type.element
-    if raw is None:
-        return None
     if isinstance(element, Enumeration):
         return next((name for name, number in element.values if number == raw), raw)
-    return raw * actuator.scale + actuator.offset if actuator.is_scaled else raw
+    return raw
 
 
-def _text(actuator: Transducer, value: Any) -> str | None:
-    """Return what an order would set this value by; None where there is no such text."""
-    value = json_of(value)
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+def _text(actuator: Transducer, raw: Any) -> str | None:
+    """Return what an order would set this raw value by; None where there is no such text."""
+    kind, (scale, offset) = actuator.type, scaling_of(actuator)
+    if raw is None:
         return None
-    if isinstance(value, float) and actuator.is_scaled:
-        # Without the digits that only rounding made, such as those of 3 * 0.1.
-        return f"{value:.{7 if actuator.type.element == 'f32' else 15}g}"
-    if isinstance(value, float):
-        return plain(value, actuator.type).removesuffix(".0")
-    return value if isinstance(value, str) else json.dumps(value, default=str)
+    if isinstance(raw, float) or (actuator.is_scaled and isinstance(raw, int)):
+        text = number_text(raw, kind.element, scale, offset)
+        return text if math.isfinite(float(text)) else None
+    if actuator.is_scaled and isinstance(raw, tuple):
+        return f"[{', '.join(number_text(one, kind.element, scale, offset) for one in raw)}]"
+    value = json_of(raw)
+    return value if isinstance(value, str) else plain(value, kind)

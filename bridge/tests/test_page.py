@@ -156,6 +156,19 @@ def test_a_slider_moves_by_steps_of_the_raw_value(shown):
 
 
 @needs_browser
+@pytest.mark.parametrize("kind", ["f32, none", "f32, none, (scale, 0.5)", "i32, 0, (scale, 1e-7)"])
+def test_a_slider_shows_the_text_of_a_number_that_the_server_gives(shown, kind):
+    async def work():
+        device = board_of(f"ACTUATOR(gain, 0, g, M, 1, {kind}, (range, -5, 5))\n")
+        async with shown(device) as (page, bridge):
+            await (await bridge.client("robot").transducers())["gain"].set(1e-7)
+            await page.until("document.querySelector('.slider output').textContent === '1e-07 '")
+            assert page.errors == []
+
+    asyncio.run(work())
+
+
+@needs_browser
 def test_a_slider_reaches_its_limits_and_zero_at_any_scale(shown):
     text = (
         "ACTUATOR(odd, 0, o, M, 1, i8, none, (scale, 0.57), (range, 0, 100))\n"

@@ -472,8 +472,8 @@ function control(name, about, channel, send) {
     value: String(Math.min(high, Math.max(low, 0))),
   });
   const shown = make("output", { for: id });
-  const show = (more = "") => {
-    shown.textContent = `${Number(input.value)} ${about.unit}${more}`;
+  const show = (text = String(Number(input.value)), more = "") => {
+    shown.textContent = `${text} ${about.unit}${more}`;
   };
   show();
   // While it is dragged, an order goes out when the one before was answered.
@@ -495,7 +495,8 @@ function control(name, about, channel, send) {
   });
   const take = (text, isSet) => {
     if (text !== null) input.value = text;
-    show(isSet ? "" : " (not set yet)");
+    // A browser writes some numbers in another way, such as 1e-7, and shows none beyond the range.
+    show(text ?? undefined, isSet ? "" : " (not set yet)");
   };
   return { element: make("div", { class: "slider" }, label, shown, input), take };
 }

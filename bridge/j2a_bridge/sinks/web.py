@@ -11,7 +11,6 @@ import asyncio
 import dataclasses
 import errno
 import logging
-import math
 import re
 import threading
 import time
@@ -29,6 +28,7 @@ from j2a.cli.plugin import plain
 from j2a.types.model import Enumeration, Structure, Type
 from j2a_bridge.actuator_values import ActuatorValues
 from j2a_bridge.json_values import finite
+from j2a_bridge.number_text import in_unit, number_text, scaling_of
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update, port_of
 from j2a_bridge.sinks.mcap import McapSink
 from j2a_bridge.sinks.mqtt import transducer_object
@@ -42,9 +42,6 @@ if TYPE_CHECKING:
 __all__ = ["WebSink"]
 
 _SERIES: Final = 32
-_DIGITS: Final = 6
-_MOST_DIGITS: Final = 15
-_MOST_DIGITS_OF: Final = {"f32": 9, "f64": _MOST_DIGITS}
 _LOG: Final = 200
 _LINES: Final = 50
 """So many lines of the log go to pages at once."""
@@ -72,7 +69,7 @@ class _Span:
         """Take a sample in: of each series the least, the greatest and the newest are kept."""
         unit = f" {update.sample.unit}" if update.sample.unit else ""
         sensor = update.topic.transducer
-        kind, step = sensor.type, abs(sensor.scale) if sensor.is_scaled else 0.0
+        kind, (scale, offset) = sensor.type, scaling_of(sensor)
         channels = self._newest
         for one in update.sample.readings:
             if one.time_us is None:
@@ -80,7 +77,7 @@ class _Span:
             elif one.value is None:
                 channels[one.channel] = "N/A"
             else:
-                channels[one.channel] = f"{_shown(one.value, kind, step)}{unit}"
+                channels[one.channel] = f"{_shown(one.raw, kind, scale, offset)}{unit}"
         for stamp, name, value in numbers(update):
             point = stamp // _NS_PER_MS, value
             kept = self.series.get(name)
@@ -107,44 +104,25 @@ class _Span:
         return {"v": values, "s": series}
 
 
-def _shown(value: Any, kind: Type, step: float = 0.0) -> str:
+def _shown(raw: Any, kind: Type, scale: float = 1.0, offset: float = 0.0) -> str:
     """Return a value as the page shows it, a line for each field of a structure with its unit.
 
     Args:
-        value: of a reading.
+        raw: of a reading.
         kind: its type.
-        step: between two values that follow each other; 0 for none that is known.
+        scale: of its transducer.
+        offset: of its transducer.
     """
-    if isinstance(value, float):
-        return _number(value, kind, step)
-    if hasattr(value, "_asdict") and isinstance(kind.element, Structure):
+    if hasattr(raw, "_asdict") and isinstance(kind.element, Structure):
         lines = []
-        for field, one in zip(kind.element.fields, value, strict=True):
+        for field, one in zip(kind.element.fields, raw, strict=True):
             lines.append(f"{field.name}  {_shown(one, field.type)} {field.type.unit}".rstrip())
         return "\n".join(lines)
-    if isinstance(value, list | tuple):
-        return "  ".join(_shown(one, kind, step) for one in value)
-    return plain(value)
-
-
-def _number(value: float, kind: Type, step: float) -> str:
-    """Return a number with the digits that tell it from others, as `j2a watch` shows them."""
-    most = _MOST_DIGITS_OF.get(kind.element) if isinstance(kind.element, str) else None
-    if not math.isfinite(value):
-        return f"{value:g}"
-    if most is None:
-        return f"{value:.{_digits(value, step)}g}"
-    if step:  # scaling adds digits that only rounding made
-        return f"{value:.{most}g}"
-    return plain(value, kind).removesuffix(".0")
-
-
-def _digits(value: float, step: float) -> int:
-    """Return how many digits are shown: six, more where these hide steps, as of degrees of GPS."""
-    if not step or not value:
-        return _DIGITS
-    needed = 1 + math.floor(math.log10(abs(value))) + math.ceil(-math.log10(step))
-    return min(max(_DIGITS, needed), _MOST_DIGITS)
+    if isinstance(raw, list | tuple):
+        return "  ".join(_shown(one, kind, scale, offset) for one in raw)
+    if isinstance(raw, float) or (scale, offset) != (1.0, 0.0):
+        return number_text(raw, kind.element, scale, offset)
+    return plain(raw)
 
 
 def _control(topic: Topic) -> dict[str, Any]:
@@ -158,7 +136,7 @@ def _control(topic: Topic) -> dict[str, Any]:
     element, ends = one.type.element, one.range
     about: dict[str, Any] = {"step": "any" if element in ("f32", "f64") else abs(one.scale)}
     if ends is not None and one.is_scaled:
-        about["range"] = finite([float(f"{end * one.scale + one.offset:.15g}") for end in ends])
+        about["range"] = finite([in_unit(end, element, one.scale, one.offset) for end in ends])
     if isinstance(element, Enumeration) and one.type.count is None and not one.is_sensor:
         names = element.values
         about["choices"] = [

@@ -1,0 +1,68 @@
+"""Numbers as the live page shows them and sends them back.
+
+What flows in: raw numbers, with the scale and offset of their transducer. What flows out: the same
+in the unit of the transducer, as a number and as a text.
+"""
+
+import math
+from decimal import Decimal
+from typing import Any, Final
+
+from j2a.types.transducers import Transducer, rounded, shortest_f32
+
+__all__ = ["in_unit", "number_text", "scaling_of"]
+
+_DIGITS: Final = 6
+"""An integer has no fewer: one digit would tell 0.25 from 0.5, yet 0.2 is not what was measured."""
+_MOST_DIGITS: Final = 17
+
+
+def scaling_of(transducer: Transducer) -> tuple[float, float]:
+    """Return scale and offset of the raw numbers of a transducer; (1, 0) where they are none."""
+    return (transducer.scale, transducer.offset) if transducer.is_scaled else (1.0, 0.0)
+
+
+def in_unit(raw: float, element: object, scale: float, offset: float) -> float:
+    """Return a raw number in the unit, rounded once: 0.3 for 3 * 0.1, and not 0.30000000000000004.
+
+    Args:
+        raw: the number.
+        element: its type, such as "f32".
+        scale: of its transducer, 1 for none.
+        offset: of its transducer, 0 for none.
+    """
+    value = raw * scale + offset
+    if not math.isfinite(value):
+        return value
+    if element == "f32":
+        raw = shortest_f32(raw)
+    return float(_decimal(raw) * _decimal(scale) + _decimal(offset))
+
+
+def number_text(raw: float, element: object, scale: float = 1.0, offset: float = 0.0) -> str:
+    """Return a raw number in the unit by the fewest digits that are read back as the same number.
+
+    Args:
+        raw: the number.
+        element: its type, such as "f32".
+        scale: of its transducer, 1 for none.
+        offset: of its transducer, 0 for none.
+    """
+    value = in_unit(raw, element, scale, offset)
+    if element != "f64" and scale and math.isfinite(value):
+        fewest = 1 if element == "f32" else _DIGITS
+        found = (float(f"{value:.{digits}g}") for digits in range(fewest, _MOST_DIGITS))
+        value = next((one for one in found if _raw(one, element, scale, offset) == raw), value)
+    return repr(value).removesuffix(".0")
+
+
+def _decimal(number: float) -> Decimal:
+    return Decimal(repr(number)) if isinstance(number, float) else Decimal(number)
+
+
+def _raw(value: float, element: object, scale: float, offset: float) -> Any:
+    """Return the raw number that a value in the unit is sent as."""
+    number = (value - offset) / scale
+    if element == "f32":
+        return rounded("f32", number)
+    return round(number) if math.isfinite(number) else number
