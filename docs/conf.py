@@ -21,6 +21,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "c_api",
     "docstrings",
+    "included_pages",
     "kill_matrix",
     "narrow_tables",
     "packet_figure",
