@@ -7,6 +7,7 @@ which one it is, is said. What this program starts it also ends. Arguments are f
 run`, which does all cases without: `python tools/demo.py --level core`.
 """
 
+import re
 import shlex
 import shutil
 import signal
@@ -19,6 +20,8 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from j2a_spec.plural import counted
+
 import j2a
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -29,6 +32,7 @@ PERIOD_MS = 100
 WATCH_S = 1.0
 TRANSFER = 64 * 1024
 BAR = 40
+UNIMPLEMENTED = re.compile(r"unimplemented: ([\w.-]+(?:, [\w.-]+)*): (.*)\n")
 
 
 class Device(NamedTuple):
@@ -170,6 +174,27 @@ def tour(url: str) -> list[str]:
     ]
 
 
+def shortened(line: str) -> str:
+    """Return a line of the suite; cases of one reason are counted instead of listed."""
+    found = UNIMPLEMENTED.fullmatch(line)
+    if found is None:
+        return line
+    return f"unimplemented: {counted(found[1].count(',') + 1, 'case')}: {found[2]}\n"
+
+
+def judge(*words: str | Path) -> int:
+    """Run the conformance suite and show what it says; return its exit status."""
+    with subprocess.Popen([BIN / "j2a-conform", *words], stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None
+        try:
+            for line in run.stdout:
+                print(shortened(line), end="", flush=True)
+        except BaseException:  # such as a request to end
+            run.terminate()
+            raise
+    return run.returncode
+
+
 def main() -> int:
     """Run the demo; return the exit status."""
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
@@ -180,8 +205,7 @@ def main() -> int:
             device = start(running)
             summary = tour(device.url)
             print("\nConformance: is the device right, requirement by requirement?", flush=True)
-            command = [f"{BIN}/j2a-conform", "run", device.testee, *sys.argv[1:]]
-            status = subprocess.run(command, check=False).returncode
+            status = judge("run", device.testee, *sys.argv[1:])
     except KeyboardInterrupt:
         print("\ninterrupted")
         return 128 + signal.SIGINT
