@@ -7,6 +7,7 @@ What flows in: the pieces, from the parser, or from a `transds.def`. What flows 
 import math
 import struct
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import cached_property
 from typing import Final
 
@@ -200,7 +201,8 @@ class Transducer:
         if element[0] == "f":
             if text == "nan":
                 return math.nan
-            return nearest(element, float(int(text, 16)) if "x" in text else float(text))
+            text = str(int(text, 16)) if "x" in text else text
+            return nearest(element, _to_odd(text) if element == "f32" else float(text))
         number = int(text, 16 if "x" in text else 10)
         if element == "bool":
             if number not in (0, 1):
@@ -210,6 +212,21 @@ class Transducer:
         if number not in allowed:
             raise ValueError(f"{text} is not {allowed[0]} to {allowed[-1]} ({element})")
         return number
+
+
+def _to_odd(text: str) -> float:
+    """Return the f64 of a decimal; of the two around one that none is, that whose last bit is 1.
+
+    Rounding this to an f32 rounds the decimal. The nearest f64 may be half-way between two f32
+    where the decimal is not.
+    """
+    found = float(text)
+    if found == 0 or math.isinf(found):
+        return found
+    exact, near = Decimal(text), Decimal(found)
+    if exact == near or _FLOATS["f64"].pack(found)[0] & 1:
+        return found
+    return math.nextafter(found, math.inf if exact > near else -math.inf)
 
 
 def nearest(element: str, number: float) -> float:

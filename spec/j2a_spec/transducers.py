@@ -41,6 +41,8 @@ _TRANSDUCER = re.compile(
 _ATTRIBUTE = re.compile(rf" ({types.NAME})(?: ([^\x00-\x1f\x7f]+))?")
 _FLOATS = {"f32": cs.Float32l, "f64": cs.Float64l}
 _DIGITS = {"f32": (24, 128), "f64": (53, 1024)}
+_F32_LAST = -149
+_F32_NOTHING = 2.0**-151
 _INTEGERS = {f"{s}{bits}": (s == "i", bits) for s in "ui" for bits in (8, 16, 32, 64)}
 
 
@@ -171,7 +173,7 @@ def raw(found: Transducer, text: str, definitions: types.Interface) -> Any:
     if text == "nan" and element in _FLOATS:
         return math.nan
     if element in _FLOATS and _NUMBER.fullmatch(text):
-        return _nearest(element, float(text))
+        return _nearest(element, text)
     if _HEX.fullmatch(text):
         number = int(text, 16)
     elif re.fullmatch(r"-?[0-9]{1,20}", text):
@@ -179,7 +181,7 @@ def raw(found: Transducer, text: str, definitions: types.Interface) -> Any:
     else:
         raise ValueError(f"{found.name}: {text!r} is no raw value")
     if element in _FLOATS:
-        return _nearest(element, float(number))
+        return _nearest(element, str(number))
     signed, bits = _INTEGERS.get(element, (False, 1))
     low = -(1 << bits - 1) if signed else 0
     if not low <= number < low + (1 << bits):
@@ -187,14 +189,19 @@ def raw(found: Transducer, text: str, definitions: types.Interface) -> Any:
     return number
 
 
-def _nearest(element: str, number: float) -> float:
-    """Return the number of a type that is nearest to this one, which is no infinity."""
-    if not math.isfinite(number):
-        raise ValueError(f"beyond an {element}")
-    try:
-        return float(_FLOATS[element].parse(_FLOATS[element].build(number)))
-    except cs.FormatFieldError as error:
-        raise ValueError(f"{number} is beyond an {element}") from error
+def _nearest(element: str, text: str) -> float:
+    """Return the number of a type that is nearest to a decimal, which is no infinity."""
+    found = float(text)
+    if element == "f32" and math.isfinite(found) and abs(found) > _F32_NOTHING:
+        # Not by way of an f64, which may be half-way between two f32 where the decimal is not.
+        number = Fraction(text)
+        rounded = _rounded(abs(number), *_DIGITS[element], _F32_LAST)
+        found = math.copysign(rounded, number)
+    elif element == "f32" and math.isfinite(found):
+        found = math.copysign(0.0, found)
+    if not math.isfinite(found):
+        raise ValueError(f"{text} is beyond an {element}")
+    return found
 
 
 def _is_number(low: int, high: int) -> Callable[[str], bool]:
@@ -245,16 +252,18 @@ def difference(found: Transducer, one: Any, other: Any, definitions: types.Inter
     return _rounded(abs(Fraction(one) - Fraction(other)), *_DIGITS[element])
 
 
-def _rounded(number: Fraction, digits: int, largest: int) -> float:
+def _rounded(number: Fraction, digits: int, largest: int, least: int = -1074) -> float:
     """Return the number of so many binary digits that is nearest, an infinity beyond the largest.
 
     Args:
-        number: above 0, and no fraction of the smallest number of the type.
+        number: above 0.
         digits: with the hidden one.
         largest: the numbers are below 2 to this power.
+        least: the numbers are multiples of 2 to this power.
     """
     last = number.numerator.bit_length() - number.denominator.bit_length() - digits
     last += number >= Fraction(2) ** (last + digits)
+    last = max(last, least)
     found = round(number / Fraction(2) ** last) * Fraction(2) ** last  # of two the even one
     return math.inf if found >= Fraction(2) ** largest else float(found)
 

@@ -1,13 +1,20 @@
 """What a device says wrong of its transducers."""
 
+import math
+import struct
+from decimal import Decimal, localcontext
+
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from j2a_spec import constants as c
+from j2a_spec import transducers as oracle
 
 import j2a
 from j2a.demo import DemoDevice
 from j2a.tests.library.support import linked
+from j2a.types.descriptors import parse_descriptors
 
 from .boards import talking
 
@@ -85,3 +92,39 @@ class TestDescriptors:
     def test_no_bytes_raise_out_of_connect(self, content):
         with talking(b"\n" + content) as device, linked(device) as board:
             assert isinstance(list(board.transducers), list)
+
+
+def halfway(number: float) -> list[str]:
+    """Return decimals next to half-way between this f32 and the next, as close as 40 digits are."""
+    [bits] = struct.unpack("<I", struct.pack("<f", number))
+    [following] = struct.unpack("<f", struct.pack("<I", bits + 1))
+    with localcontext(prec=400):
+        middle = (Decimal(number) + Decimal(following)) / 2
+    with localcontext(prec=40) as context:
+        found = [context.next_plus(middle), context.next_minus(middle), context.plus(middle)]
+    texts = []
+    for one in (*found, found[0].copy_negate()):
+        digits = "".join(map(str, one.as_tuple().digits)).ljust(40, "0")
+        sign = "-" if one < 0 else ""
+        texts.append(f"{sign}{digits[:20]}.{digits[20:]}e{one.adjusted() - 19}")
+    return texts
+
+
+@pytest.mark.parametrize(
+    "number", [0.0, 2.0**-149, 2.0**-127, 2.0**-126, 0.1, 1.0, 1 + 2.0**-23, 16777216.0, 3e38]
+)
+def test_a_decimal_is_rounded_to_an_f32_once(number):
+    """By way of an f64 it may be taken for half-way, and come to the wrong one of two f32."""
+    [number] = struct.unpack("<f", struct.pack("<f", number))
+    for text in halfway(number):
+        described = f"\nsensor s 1 1 f32\n na {text}\n"
+        known = oracle.parse(described.encode())
+        due = oracle.raw(known.transducers["s"], text, known.definitions)
+        [own] = parse_descriptors(described).transducers
+        assert own.na == due
+        with localcontext(prec=400):
+            exact = Decimal(text)
+            apart = abs(Decimal(due) - exact)
+            for way in (math.inf, -math.inf):
+                bits = np.nextafter(np.float32(due), np.float32(way))
+                assert apart <= abs(Decimal(float(bits)) - exact)
