@@ -7,7 +7,6 @@ several calls as generators (see `j2a.protocol.transfer`), which each client dri
 import contextlib
 import logging
 import math
-import os
 import random
 import warnings
 import weakref
@@ -22,7 +21,6 @@ from j2a_spec.constants import (
     DEBUG_MORE,
     ECHO,
     GET_DEBUG,
-    GET_ECHO,
     GET_ECHO_MANY,
     GET_MAPPING,
     MIN_ROOM,
@@ -60,7 +58,7 @@ from j2a.io.transducers import RemoteTransducer, Transducers
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.device_info import DeviceInfo, Names, is_map
 from j2a.protocol.limits import DEVICE_LIMITS, Limits
-from j2a.protocol.session import MAX_WINDOW, NONCE_BYTES, Session
+from j2a.protocol.session import MAX_WINDOW, Session
 from j2a.protocol.trace import Trace
 from j2a.protocol.transfer import CallRequest, Progress, Transfer, preparing
 from j2a.types.model import Described, Interface
@@ -147,7 +145,6 @@ class ClientBase(Generic[_StreamT]):
             first_seq=random.randrange(256),
             window=window,
             trace=trace,
-            nonce=lambda: os.urandom(NONCE_BYTES),
         )
 
         client = weakref.ref(self)
@@ -588,7 +585,6 @@ class ClientBase(Generic[_StreamT]):
                     raise
                 continue
             break
-        self._session.echo_opcode = self._device.names.get(GET_ECHO)
         if self._window > 1:
             yield from self._device.learn_room()  # where they are unreadable, there is no rxbuf
             self._session.rxbuf = self._device.announced.rxbuf

@@ -10,12 +10,10 @@ counted. Every call ends.
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable
 from typing import Any, Final, Literal
 
 from j2a_spec.constants import (
     BOOT,
-    ECHO,
     ERR_CHECKSUM,
     ERR_FRAMING,
     ERR_OPCODE,
@@ -42,15 +40,14 @@ from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
 from j2a.protocol.trace import Trace, Tracer
 
-__all__ = ["MAX_WINDOW", "NONCE_BYTES", "Call", "Event", "Session"]
+__all__ = ["MAX_WINDOW", "Call", "Event", "Session"]
 
 _SEQS: Final = 256
 MAX_WINDOW: Final = 64
-NONCE_BYTES: Final = 8
 _DAMAGE: Final = frozenset((ERR_TIMEOUT, ERR_CHECKSUM, ERR_FRAMING))
-# A barrier may be replaced after this time (J2A-SEQ-007), but a slow link still answers it.
+# Another barrier may follow after this time (J2A-SEQ-009).
 _BARRIER_S: Final = 1.0
-_MAX_NONCES: Final = 256
+_GET_MAPPING: Final = 0  # on every device (J2A-DISP-005)
 Event = Call | Sif | Restart
 """What `Session.receive` returns."""
 _new_reply = tuple.__new__  # half the price of Reply(...)
@@ -66,12 +63,10 @@ class Session:
             way from an earlier program from answering the first call.
         window: how many calls may be on the wire at once. More than one needs `rxbuf`.
         trace: called with every frame; see `j2a.Trace`.
-        nonce: returns 8 random bytes for a barrier; without it there are no barriers.
 
     Attributes:
         rxbuf: wire bytes that the device can hold while it is busy (property j2a.rxbuf); until it
             is known there is one call on the wire at a time (J2A-LIMIT-003).
-        echo_opcode: of a2jEcho, None until it is known; barriers need it.
         has_boot: the device announces the boot SIF; None until that is known.
         has_samples: SIFs are read by what the device has told; where that is doubted, it must be
             asked anew at once.
@@ -80,22 +75,13 @@ class Session:
             learnt of the device in another epoch may be wrong.
     """
 
-    def __init__(
-        self,
-        *,
-        first_seq: int,
-        window: int = 1,
-        trace: Trace | None = None,
-        nonce: Callable[[], bytes] | None = None,
-    ) -> None:
+    def __init__(self, *, first_seq: int, window: int = 1, trace: Trace | None = None) -> None:
         self.rxbuf = 0
-        self.echo_opcode: int | None = None
         self.has_boot: bool | None = None
         self.has_samples = False
         self.generation = 0
         self.epoch = 0
         self._window = window
-        self._nonce = nonce
         self._now = 0.0
         self._next_seq = first_seq % _SEQS
         self._next_number = 0
@@ -114,9 +100,10 @@ class Session:
         self._refused = -1
         # Calls with a hint that a true reply may still overrule.
         self._hinted: dict[Call, None] = {}
-        self._barrier_seq: int | None = None
+        # Seqs of barriers, and the numbers of the attempts that had them before.
+        self._below: dict[int, int] = {}
+        self._barrier_number = -1  # that of the last barrier's seq
         self._barrier_time = 0.0
-        self._nonces: dict[bytes, int] = {}
         self._out: list[bytes] = []
         self._events: list[Event] = []
         self._closed: J2AError | None = None
@@ -329,44 +316,32 @@ class Session:
     # ------------------------------------------------------------------ barriers
 
     def _stalled(self, call: Call) -> LinkStalled:
-        if self._barrier_seq is None:
-            advice = "if it answers no more, open the link anew"
-        else:
+        if self._barrier_number > self._proven:
             advice = "the link recovers as soon as it answers"
+        else:
+            advice = "if it answers no more, open the link anew"
         return LinkStalled(
             f"{call.what} was not sent: the replies to {_SEQS} requests are outstanding, so no seq "
             f"is free; see that the board runs: {advice}"
         )
 
     def _send_barrier(self) -> None:
-        """Ask for an echo that shows that nothing sent before is outstanding (J2A-SEQ-007).
+        """Send a request whose reply shows which seqs are not outstanding any more (J2A-SEQ-009).
 
-        Its seq is an outstanding one, the oldest: the nonce tells its reply from an old one.
+        It has the newest seq of those whose calls have ended. A reply with this seq may be the late
+        one to the attempt before, so it proves no more than that one would.
         """
-        if self._nonce is None or self.echo_opcode is None:
+        if self._barrier_number > self._proven and self._now - self._barrier_time < _BARRIER_S:
             return
-        if self._barrier_seq is not None and self._now - self._barrier_time < _BARRIER_S:
-            return
-        seq = self._barrier_seq
-        if seq is None:
-            seq = min(self._owed, key=self._owed.__getitem__)
-        nonce = self._nonce()
-        wire = encode(SOF, seq, self.echo_opcode, nonce)
+        numbers = self._owed | self._below
+        seq = max(numbers, key=numbers.__getitem__)
+        wire = encode(SOF, seq, _GET_MAPPING, b"")
         if self._sent and self._sent_bytes + len(wire) > self.rxbuf:
             return
-        if len(self._nonces) == _MAX_NONCES:
-            del self._nonces[next(iter(self._nonces))]
-        self._nonces[nonce] = self._owed[seq] = self._next_number
-        self._barrier_seq, self._barrier_time = seq, self._now
-        self._send(wire, seq, self.echo_opcode, nonce)
-
-    def _take_barrier(self, code: int, payload: bytes) -> list[Call]:
-        number = self._nonces.get(payload) if code == ECHO else None
-        if number is None:
-            # An old reply with the barrier's seq; which attempt it answers is not known any more.
-            self._counts["late_replies"] += 1
-            return []
-        return self._exclude(number)
+        self._barrier_number = self._below[seq] = numbers[seq]
+        self._barrier_time = self._now
+        self._owed[seq] = self._next_number
+        self._send(wire, seq, _GET_MAPPING, b"")
 
     # ------------------------------------------------------------------ input
 
@@ -445,7 +420,7 @@ class Session:
             return []
         self.epoch += 1
         self.generation += 1
-        self.rxbuf, self.echo_opcode = 0, None
+        self.rxbuf = 0
         self._next_sif = None
         self._counts["restarts"] += 1
         restart = unpack_boot(frame.payload)
@@ -468,15 +443,13 @@ class Session:
     def _take_reply(self, frame: Frame) -> list[Call]:
         """Take a reply; return the calls that it ends."""
         _, seq, code, payload = frame
-        if seq == self._barrier_seq:
-            return self._take_barrier(code, payload)
         call = self._sent.get(seq)
         if call is None:
             number = self._owed.get(seq)
             self._counts["stray_replies" if number is None else "late_replies"] += 1
             if number is None or not _is_proof(code):
                 return []
-            return self._exclude(number)
+            return self._exclude(self._below.get(seq, number))
         if code in _DAMAGE:
             return self._take_hint(call, code, payload)
         if code in _OK:
@@ -522,9 +495,8 @@ class Session:
         self._proven = max(self._proven, number)
         if self._owed:
             self._owed = {seq: owed for seq, owed in self._owed.items() if owed > number}
-            if self._barrier_seq not in self._owed:
-                self._barrier_seq = None
-                self._nonces.clear()
+            if self._below:
+                self._below = {s: below for s, below in self._below.items() if s in self._owed}
         if not self._hinted:
             return []
         ended = [call for call in self._hinted if call.number < number]

@@ -27,7 +27,6 @@ PING = "ping"
 FETCH = "fetch"
 STORE = "store"
 
-_NONCE = 8
 _ROOM = re.compile("[1-9][0-9]{1,2}")
 
 
@@ -89,11 +88,6 @@ class Device:
     def rxbuf(self) -> int:
         """The property j2a.rxbuf in bytes, or 0 where the device does not announce it."""
         return int(dict(self.properties or ()).get(c.PROP_RXBUF, "0"))
-
-    def is_barrier(self, opcode: int, payload: bytes) -> bool:
-        """Tell whether a request has the form of a barrier (J2A-SEQ-007)."""
-        is_echo = c.GET_ECHO in self.names and opcode == self.opcode(c.GET_ECHO)
-        return is_echo and len(payload) == _NONCE
 
     def asks_about_it(self, opcode: int, payload: bytes) -> bool:
         """Tell whether a request asks for the mapping, the properties, the interface or the

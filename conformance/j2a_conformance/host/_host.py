@@ -267,7 +267,7 @@ class Host:
             request = self._judge(arrival)
             if request is None:
                 self._too_early()
-            if self.device.asks_about_it(request.opcode, request.payload):
+            if self._asks_about_it(request):
                 self._tell(request)
             else:
                 found.append(request)
@@ -306,9 +306,9 @@ class Host:
         self.send(request.reply(code, payload))
         self.replied(request, code)
 
-    def replied(self, request: Request, code: int = c.RET_OK, is_echo: bool = False) -> None:
-        """Note that a request was answered by other means than `reply`; `is_echo`: a barrier."""
-        self._seqs.reply(request.seq, code in c.ERRORS, is_echo)
+    def replied(self, request: Request, code: int = c.RET_OK) -> None:
+        """Note that a request was answered by other means than `reply`."""
+        self._seqs.reply(request.seq, code in c.ERRORS)
 
     def sif(self, opcode: int, payload: bytes = b"", skipped: int = 0) -> bytes:
         """Return the wire bytes of the next SIF; `skipped` are missing before it."""
@@ -353,11 +353,13 @@ class Host:
                 )
             request = self._judge(arrival)
             # Before its first call for a job a host may ask for what it likes.
-            if request is None or (
-                self._is_met and not self.device.asks_about_it(request.opcode, request.payload)
-            ):
+            if request is None or (self._is_met and not self._asks_about_it(request)):
                 return request
             self._tell(request)
+
+    def _asks_about_it(self, request: Request) -> bool:
+        asks = self.device.asks_about_it(request.opcode, request.payload)
+        return asks and not request.is_barrier
 
     def _tell(self, request: Request) -> None:
         """Answer a request about the device."""
@@ -399,7 +401,8 @@ class Host:
             self.link.record("expected", encode(frame))
             where = difference(arrival.raw, encode(frame))
             fail(f"the frame of the host is not that of the oracle: {where} (J2A-STUFF-002)")
-        if self._seqs.none_is_free and self.device.is_barrier(frame.opcode, frame.payload):
+        is_barrier = self._seqs.none_is_free and (frame.opcode, frame.payload) == (0, b"")
+        if is_barrier:
             self._seqs.barrier(frame.seq)
         elif wrong := self._seqs.request(frame.seq):
             fail(wrong)
@@ -408,7 +411,7 @@ class Host:
                 fail("the host called the conductor while it waited for a job")
             self._pending, self._is_met = frame, True
             return None
-        return Request(frame.seq, frame.opcode, frame.payload, len(arrival.raw))
+        return Request(frame.seq, frame.opcode, frame.payload, len(arrival.raw), is_barrier)
 
     # What is wrong
 

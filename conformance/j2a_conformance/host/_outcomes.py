@@ -42,6 +42,7 @@ class Request:
     opcode: int
     payload: bytes
     size: int
+    is_barrier: bool = False
 
     def reply(self, code: int = c.RET_OK, payload: bytes = b"") -> bytes:
         """Return the wire bytes of a reply to it."""

@@ -6,7 +6,6 @@ without them; `test_broken_hosts.py` breaks it rule by rule. Each rule has a met
 
 import contextlib
 import math
-import os
 import re
 import threading
 import time
@@ -75,7 +74,7 @@ class ReferenceHost:
         self.start, self.body, self.escaped = None, b"", False
         self.waiting = {}
         self.outstanding = []  # seqs, in the order of their requests
-        self.barrier_seq, self.nonce, self.barrier_s = None, b"", 0.0
+        self.barrier_s = 0.0
         self.sifs = {"all": [], "a": [], "b": []}
         self.next_sif, self.missing = None, 0
         self.names, self.properties = None, None
@@ -214,7 +213,7 @@ class ReferenceHost:
         if self.is_stalled():
             raise Stalled
         seq = self.seq
-        while seq in self.outstanding:
+        while {seq, seq + SEQS} & set(self.outstanding):
             seq = (seq + 1) % SEQS
         self.seq = (seq + 1) % SEQS
         self.outstanding.append(seq)
@@ -228,36 +227,30 @@ class ReferenceHost:
     # Barriers
 
     def is_stalled(self) -> bool:
-        return len(self.outstanding) == SEQS
+        return len({seq % SEQS for seq in self.outstanding}) == SEQS
 
     def send_barrier(self) -> None:
-        if c.GET_ECHO not in self.mapping_known() or time.monotonic() - self.barrier_s < 1.0:
+        if time.monotonic() - self.barrier_s < 1.0:
             return
-        self.barrier_seq, self.nonce, self.barrier_s = (
-            self.outstanding[0],
-            self.new_nonce(),
-            time.monotonic(),
-        )
-        opcode = self.names.index(c.GET_ECHO)
-        self.outstanding.append(self.outstanding.pop(0))
-        self.send(self.wire(self.barrier_seq, opcode, self.nonce))
+        self.barrier_s = time.monotonic()
+        seq = self.barrier_seq()
+        self.after_barrier(seq)
+        self.send(self.wire(seq, 0, self.barrier_payload()))
 
-    def new_nonce(self) -> bytes:
-        return os.urandom(8)
+    def barrier_seq(self) -> int:
+        """Return the newest seq; no call waits, and a barrier of before is none of these."""
+        return [seq for seq in self.outstanding if seq < SEQS][-1]
 
-    def mapping_known(self) -> list[str]:
-        return self.names or []
+    def after_barrier(self, seq: int) -> None:
+        """Note that the seq is outstanding until the reply to a later request has come."""
+        self.outstanding.append(seq + SEQS)
 
-    def is_barriers_reply(self, code: int, payload: bytes) -> bool:
-        return code == c.ECHO and payload == self.nonce
+    def barrier_payload(self) -> bytes:
+        return b""
 
     def answered(self, seq: int, code: int, payload: bytes) -> None:
         """Free the seqs of which a reply shows that they are not outstanding any more."""
-        if seq == self.barrier_seq:
-            if not self.is_barriers_reply(code, payload):
-                return
-            self.barrier_seq = None
-        elif code in c.ERRORS or seq not in self.outstanding:
+        if code in c.ERRORS or seq not in self.outstanding:
             if code == c.ERR_OPCODE and seq in self.outstanding:
                 self.outstanding.remove(seq)
             return

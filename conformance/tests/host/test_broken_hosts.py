@@ -5,6 +5,7 @@ conformance/mutants breaks in the same way; a requirement of hosts that the suit
 one of the two.
 """
 
+import os
 import time
 
 import pytest
@@ -189,19 +190,19 @@ class SaysTimeoutWhenStalled:
         return "timeout" if outcome == "stalled" else outcome
 
 
-@breaks("J2A-SEQ-007")
-class TakesAnyEchoForTheBarriers:
-    def is_barriers_reply(self, code, payload):
-        return code == c.ECHO
+@breaks("J2A-SEQ-009")
+class TakesTheOldestSeqForTheBarrier:
+    def barrier_seq(self):
+        return self.outstanding[0]
 
 
-@breaks("J2A-SEQ-007")
-class LooksAtSevenBytesOfTheNonce:
-    def is_barriers_reply(self, code, payload):
-        return payload[:7] == self.nonce[:7]
+@breaks("J2A-SEQ-009")
+class SendsANonceInTheBarrier:
+    def barrier_payload(self):
+        return os.urandom(8)
 
 
-@breaks("J2A-SEQ-007")
+@breaks("J2A-SEQ-009")
 class SendsBarriersAllTheTime:
     def send_barrier(self):
         for _ in range(2):

@@ -15,7 +15,7 @@ from j2a_spec.constants import SOF
 
 import j2a
 from j2a.io.client_base import ClientBase
-from j2a.protocol.session import NONCE_BYTES, Session
+from j2a.protocol.session import Session
 from j2a.protocol.transfer import Transfer
 
 RATES = (100, 5760, 100_000)
@@ -54,9 +54,7 @@ class Noise(ClientBase):
     def __init__(self, random: Random, kind, rate: int) -> None:
         self._begin("noise:", 1.0, 1, None)
         # The seed decides what a client draws by chance, so that a bad end can be repeated.
-        self._session = Session(
-            first_seq=random.randrange(256), nonce=lambda: random.randbytes(NONCE_BYTES)
-        )
+        self._session = Session(first_seq=random.randrange(256))
         self.random, self.kind, self.rate = random, kind, rate
         self.now = 0.0
 

@@ -10,9 +10,9 @@ from .soak import Soak
 SAMPLE = 20_000
 
 
-@pytest.mark.requirement("J2A-SEQ-003", "J2A-SEQ-005", "J2A-SEQ-006", "J2A-SEQ-007", "J2A-TIME-006")
+@pytest.mark.requirement("J2A-SEQ-003", "J2A-SEQ-005", "J2A-SEQ-006", "J2A-SEQ-009", "J2A-TIME-006")
 def test_no_answer_is_wrong():
-    soak = Soak(0)
+    soak = Soak(3)
     soak.run(SAMPLE)
     assert soak.bad == []
     assert soak.counts["calls"] == SAMPLE
@@ -30,6 +30,18 @@ def test_a_session_that_reuses_an_outstanding_seq_is_found_out(monkeypatch):
     monkeypatch.setattr(Session, "_free_seq", reuse)
     soak = Soak(0)
     soak.run(SAMPLE, until="the answer to another one")
+    assert soak.has_seen("the answer to another one")
+
+
+def test_a_session_that_takes_a_reply_for_that_of_the_barrier_is_found_out(monkeypatch):
+    def send_barrier(session):
+        send(session)
+        session._below.clear()
+
+    send = Session._send_barrier
+    monkeypatch.setattr(Session, "_send_barrier", send_barrier)
+    soak = Soak(0)
+    soak.run(20 * SAMPLE, until="the answer to another one")
     assert soak.has_seen("the answer to another one")
 
 

@@ -70,17 +70,11 @@ class _Stalled(HostCase):
     LEVEL: Level = "core"
 
     @staticmethod
-    def learn_echo(host: Host) -> None:
-        """Have the host call a2jEcho, so that it knows the opcode that barriers need."""
-        host.do(f"call {c.GET_ECHO} - {host.limit_ms}", f"reply {c.ECHO} -")
-
-    @staticmethod
     def stall(host: Host, late: int = 0) -> tuple[list[Request], Request | None]:
         """Leave 256 calls unanswered, and some more; return them, and the barrier if one comes.
 
         After 200 calls the one before number `late` is answered, so that as many seqs are free.
         """
-        _Stalled.learn_echo(host)
         limit_ms = max(host.silence_ms // 60, 1)
         host.job(f"repeat {_SEQS + 20} call @6 73 {limit_ms}")
         given_up = [host.request(6, b"s") for _ in range(_EARLY)]
@@ -91,7 +85,7 @@ class _Stalled(HostCase):
             if late and not (some and some[0].opcode == 6):  # the reply came too late for the host
                 return given_up, some[0] if some else None
             given_up += some or [host.request(6, b"s")]
-        return given_up, barrier(host, _BARRIER_MS)
+        return given_up, barrier(host, given_up[-1], _BARRIER_MS)
 
     @staticmethod
     def ended(host: Host) -> None:
@@ -102,27 +96,36 @@ class _Stalled(HostCase):
         host.outcome("stalled", "timeout")
 
 
-def barrier(host: Host, wait_ms: float) -> Request | None:
-    """Return a barrier if one comes; while no seq is free nothing else may."""
+def barrier(host: Host, newest: Request, wait_ms: float) -> Request | None:
+    """Return a barrier if one comes; while no seq is free nothing else may.
+
+    Args:
+        host: the host.
+        newest: the newest request whose call has ended.
+        wait_ms: how long one may take.
+    """
     for request in host.requests(1, wait_ms):
-        if not host.device.is_barrier(request.opcode, request.payload):
+        if not request.is_barrier:
             fail(f"opcode {request.opcode} came while no seq was free (J2A-SEQ-006)")
+        if request.seq != newest.seq:
+            fail(f"the barrier has seq 0x{request.seq:02X}, that of the newest request whose call "
+                 f"has ended is 0x{newest.seq:02X} (J2A-SEQ-009)")  # fmt: skip
         return request
     return None
 
 
 class Stalled(_Stalled):
     """Leaves 256 calls without an answer and has the host make 20 more; sends the errors 0xF2, 0xF3
-    and 0xF4 with each seq; answers the barrier by other bytes, by another code and by a SIF, and
-    after more than 1 s by its nonce; and does the first part again.
+    and 0xF4 with each seq, and a SIF with that of the barrier; answers the barrier after more than
+    1 s, and does the first part again.
     """
 
     ID = "host.seq.stalled"
     EXPECTATION = (
         "256 calls have 256 different seqs, one after the other; the others fail as `stalled`. "
-        "Nothing but one barrier is sent until its nonce comes back."
+        "Nothing but one barrier in a second is sent until a reply comes."
     )
-    REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-007", "J2A-SEQ-003", "J2A-TIME-006")
+    REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-009", "J2A-SEQ-003", "J2A-TIME-006")
 
     def _run(self, host: Host) -> None:
         given_up, found = self.stall(host)
@@ -135,37 +138,73 @@ class Stalled(_Stalled):
             host.reply(given_up[-1], 1, b"late")
             host.outcome("stalled")
         else:
-            nonce = found.payload
-            host.send(found.reply(c.ECHO, bytes((nonce[0] ^ 1,)) + nonce[1:]))
-            host.send(found.reply(c.ECHO, nonce[:-1]) + found.reply(c.ECHO, nonce + b"\x00"))
-            host.send(found.reply(c.RET_OK, nonce) + found.reply(c.ERR_CHECKSUM, nonce))
-            host.send(host.sif(c.ECHO, nonce) + found.reply(c.ECHO, b""))
+            host.send(stray(found.seq, b"SIF", c.SOS))
+            host.reset_sifs(found.seq + 1)
             # The 1 s of a host is fixed by the protocol, whatever the scale of other times.
-            other = barrier(host, BARRIER_AGAIN_MS / min(host.link.scale, 1.0))
-            if other is not None:
-                if host.link.now_s() - began_s < _REPLACED_S:
-                    fail("a second barrier came before 1 s was over (J2A-SEQ-007)")
-                if other.payload == nonce:
-                    fail("a second barrier has the nonce of the first one (J2A-SEQ-007)")
-                found = other
-            host.send(found.reply(c.ECHO, found.payload))
-            host.replied(found, is_echo=True)
+            other = barrier(host, given_up[-1], BARRIER_AGAIN_MS / min(host.link.scale, 1.0))
+            if other is not None and host.link.now_s() - began_s < _REPLACED_S:
+                fail("a second barrier came before 1 s was over (J2A-SEQ-009)")
+            host.reply(found, *host.device.answer(0, b""))
             host.outcome("stalled")
-            self._stall_again(host, {nonce, found.payload})
+        self._stall_again(host)
         for payload in (b"next", b"over"):
             host.reply(host.asked(payload), 1, payload)
             host.replied_with(1, payload)
 
-    def _stall_again(self, host: Host, nonces: set[bytes]) -> None:
+    def _stall_again(self, host: Host) -> None:
         given_up, found = self.stall(host)
         if found is None:
             host.reply(given_up[-1], 1, b"late")
         else:
-            if found.payload in nonces:
-                fail("a barrier has the nonce of an earlier one (J2A-SEQ-007)")
-            host.send(found.reply(c.ECHO, found.payload))
-            host.replied(found, is_echo=True)
+            host.reply(found, c.ERR_OPCODE, b"\x01\x00")  # a device without a function map
         self.ended(host)
+
+
+class StalledTwice(_Stalled):
+    """Leaves 256 calls without an answer, and sends two replies with the seq of the barrier, the
+    second one while the first of 300 more calls waits, which it leaves without an answer, too.
+    """
+
+    ID = "host.seq.stalled-twice"
+    EXPECTATION = (
+        "Neither reply answers another call, and none of the 255 calls that are sent then has the "
+        "seq of the barrier. The next barrier has the seq of the last of them."
+    )
+    REQUIREMENTS = ("J2A-SEQ-009", "J2A-SEQ-005", "J2A-SEQ-003")
+
+    def _run(self, host: Host) -> None:
+        # A SIF ends each half: between them no call for a job is answered, which would free all.
+        calls = f"repeat {_SEQS + 44} call @6 73 {max(host.silence_ms // 10, 1)}"
+        host.job(f"repeat 2 together {calls} ; sifs all 1 {20 * host.limit_ms}")
+        given_up = [host.request(6, b"s") for _ in range(_SEQS)]
+        found = barrier(host, given_up[-1], _BARRIER_MS)
+        if found is None:
+            host.reply(given_up[-1], 1, b"late")
+        else:
+            host.reply(found, 5, b"sifs all 0 0")
+        # What was left of the first half may be sent now; only a stall ends both.
+        host.send(host.sif(0x30))
+        given_up = []
+        while not (given_up and given_up[-1].is_barrier):
+            some = host.requests(1, _BARRIER_MS if found is None else host.limit_ms)
+            if not some:
+                break
+            if found is not None and not given_up:
+                host.reply(found, *host.device.answer(0, b""))
+            given_up += some
+        if found is not None:
+            *sent, again = given_up
+            if len(sent) != _SEQS - 1 or not again.is_barrier:
+                fail(f"{len(sent)} calls were sent after the barrier, 255 were due (J2A-SEQ-003)")
+            if again.seq != sent[-1].seq:
+                fail("the next barrier does not have the newest seq (J2A-SEQ-009)")
+        host.reply(given_up[-1], c.RET_OK, b"late")
+        host.send(host.sif(0x30))
+        while host.request_or_end() is not None:
+            pass
+        outcome = host.outcome().whole.partition(" ; ")[0]
+        if outcome not in ("stalled", "timeout maybe-executed", "timeout"):
+            fail(f"the host reports `{outcome}` of a call that got no reply (J2A-SEQ-005)")
 
 
 class StalledRefused(_Stalled):
@@ -181,19 +220,13 @@ class StalledRefused(_Stalled):
     REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-003")
 
     def _run(self, host: Host) -> None:
-        self.learn_echo(host)
         # Only a host that waits on for the replies needs all of this time.
         host.job(f"repeat {_SEQS + 20} call @6 73 {max(host.silence_ms // 12, 1)}")
         for number in range(_SEQS):
             last = host.request(6, b"s")
             # Not by `host.reply`: it leaves all of these requests outstanding.
             host.send(last.reply(sorted(DAMAGE)[number % len(DAMAGE)], b"\x04\x00"))
-        found = barrier(host, _BARRIER_MS)
-        if found is None:
-            host.reply(last, 1, b"late")
-        else:
-            host.send(found.reply(c.ECHO, found.payload))
-            host.replied(found, is_echo=True)
+        host.reply(barrier(host, last, _BARRIER_MS) or last, 1, b"late")
         self.ended(host)
         host.reply(host.asked(b"next"), 1, b"next")
         host.replied_with(1, b"next")
@@ -201,30 +234,38 @@ class StalledRefused(_Stalled):
 
 class StalledTogether(_Stalled):
     """Refuses 255 calls that the host makes in two threads by the error 0xF3, and leaves the next
-    one without an answer for a while; is a device without j2a.rxbuf, and one whose j2a.rxbuf is
-    less than one of these requests.
+    one without an answer for a while; is a device without j2a.rxbuf, one whose j2a.rxbuf is less
+    than one of these requests, one where it is more, but less than a barrier beside it, and one
+    with room for both. Where a barrier comes, answers the last of the 255 calls before.
     """
 
     ID = "host.seq.stalled-together"
-    EXPECTATION = "Nothing is sent while the call waits, not even a barrier."
-    REQUIREMENTS = ("J2A-LIMIT-003", "J2A-SEQ-006", "J2A-SEQ-007")
+    EXPECTATION = (
+        "While the call waits, nothing is sent but a barrier, and this only if j2a.rxbuf has room "
+        "for both."
+    )
+    REQUIREMENTS = ("J2A-LIMIT-003", "J2A-SEQ-006", "J2A-SEQ-009")
 
     def _run(self, host: Host) -> None:
-        for known in ((), ((c.PROP_RXBUF, "10"),)):
+        for rxbuf in ("", "10", "17", "24"):
+            known = ((c.PROP_RXBUF, rxbuf),) if rxbuf else ()
             host.become(replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), *known)))
-            self.learn_echo(host)
             calls = f"repeat {_SEQS} call @6 8*73 {host.limit_ms}"
             host.job(f"together {calls} ; {calls}")
-            last = host.request(6, b"s" * 8)
+            before = last = host.request(6, b"s" * 8)
             for _ in range(_SEQS - 1):
                 # Not by `host.reply`: it leaves all of these requests outstanding.
                 host.send(last.reply(c.ERR_CHECKSUM, b"\x04\x00"))
                 if not host.has_sent(host.limit_ms / 3e3):
                     self._end(host, last)
                     inform("the host does not take an error reply for the end of a call")
-                last = host.request(6, b"s" * 8)
-            for request in host.requests(1, _BARRIER_MS):
-                fail(f"opcode {request.opcode} came while a call waited (J2A-LIMIT-003)")
+                before, last = last, host.request(6, b"s" * 8)
+            found = barrier(host, before, _BARRIER_MS)
+            if found is not None:
+                if last.size + found.size > host.device.rxbuf:
+                    fail("a barrier came while a call waited, for which j2a.rxbuf has no room "
+                         "(J2A-LIMIT-003)")  # fmt: skip
+                host.reply(found, 1, b"late")
             self._end(host, last)
 
     @staticmethod
@@ -253,8 +294,7 @@ class StalledLate(_Stalled):
         for late in given_up[100:]:
             host.reply(late, 5, b"sifs all 0 0")
         if found is not None:
-            host.send(found.reply(c.ECHO, found.payload))
-            host.replied(found, is_echo=True)
+            host.reply(found, *host.device.answer(0, b""))
         for payload in (b"next", b"over"):
             host.reply(host.asked(payload), 1, payload)
             host.replied_with(1, payload)
