@@ -1,7 +1,8 @@
 """Files that commands write.
 
-In: paths and texts. Out: files, or what stands for one: a pipe, a device, the standard output.
-Rule: what was there is lost to nothing but the new text.
+In: paths, and texts or bytes. Out: files, or what stands for one: a pipe, a device, the standard
+output.
+Rule: what was there is lost to nothing but the new content.
 """
 
 import contextlib
@@ -14,28 +15,44 @@ from pathlib import Path
 from j2a_spec.printable import printable
 
 from j2a.cli._exit import UsageError, file_errors
-from j2a.cli._output import show_text
+from j2a.cli._output import show_bytes, show_text
 
 
 def write_files(files: Mapping[Path, str]) -> None:
-    """Write files by path, each as a whole; one that is there keeps its permissions.
-
-    What is no plain file is written into: a pipe, a device, a link, or the standard output.
+    """Write files by path as `write_file`; folders are made as well.
 
     Raises:
         UsageError: one cannot be written.
     """
     for path, text in files.items():
-        if not path.name:
-            raise UsageError(f"{path} is a folder: name a file in it")
-        if is_output(path):
-            show_text(written(text))
-            continue
-        with file_errors(f"cannot write {path}"):
-            if path.is_symlink() or (path.exists() and not path.is_file()):
-                path.write_text(written(text), "utf-8", newline="\n")
-            else:
-                _exchange(path, written(text))
+        if path.name and not is_output(path):
+            with file_errors(f"cannot write {path}"):
+                path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, text)
+
+
+def write_file(path: Path, content: str | bytes) -> None:
+    """Write a file as a whole; one that is there keeps its permissions.
+
+    What is no plain file is written into: a pipe, a device, a link, or the standard output.
+
+    Raises:
+        UsageError: it cannot be written.
+    """
+    if not path.name:
+        raise UsageError(f"{path} is a folder: name a file in it")
+    if is_output(path):
+        if isinstance(content, bytes):
+            show_bytes(content)
+        else:
+            show_text(written(content))
+        return
+    data = content if isinstance(content, bytes) else written(content).encode()
+    with file_errors(f"cannot write {path}"):
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            path.write_bytes(data)
+        else:
+            _exchange(path, data)
 
 
 def is_output(path: Path) -> bool:
@@ -45,13 +62,12 @@ def is_output(path: Path) -> bool:
     return False
 
 
-def _exchange(path: Path, text: str) -> None:
+def _exchange(path: Path, data: bytes) -> None:
     """Write a file so that a full disk, or Ctrl-C, leaves what was there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.part")
     try:
         part.unlink(missing_ok=True)  # of a run that was killed, and may be read-only
-        part.write_text(text, "utf-8", newline="\n")
+        part.write_bytes(data)
         with contextlib.suppress(OSError):  # it is not there; or its file system has no permissions
             shutil.copymode(path, part)
         part.replace(path)

@@ -1,7 +1,8 @@
 """`j2a read`: read from a function that transfers data of any size (a2jMany).
 
 In: a function. Out: its data, in a file or on standard output.
-Rules: a file is written when all data is there, so that a transfer that fails leaves the old one.
+Rules: a file is written when all data is there, and as a whole, so that a transfer or a write that
+fails leaves the old one.
 """
 
 import argparse
@@ -10,7 +11,8 @@ from pathlib import Path
 
 from j2a_spec.plural import counted
 
-from j2a.cli._exit import OK, UsageError, file_errors
+from j2a.cli._exit import OK, UsageError
+from j2a.cli._files import write_file
 from j2a.cli._link import (
     add_link_arguments,
     add_progress_argument,
@@ -60,8 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if target is None:
         show_bytes(data)
         return OK
-    with file_errors(f"cannot write to {args.output!r}"):
-        target.write_bytes(data)
+    write_file(target, data)
     rate = size_text(len(data) / took_s)
     size = counted(len(data), "byte")
     note(f"{size} read to {args.output} in {took_s:.2f} s ({rate}/s)")

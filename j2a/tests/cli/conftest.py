@@ -1,5 +1,6 @@
 """Devices to talk to, and two ways to run the command line: in this process and in its own."""
 
+import contextlib
 import queue
 import shlex
 import subprocess
@@ -44,6 +45,18 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
         return Result(code, out, err)
 
     return call
+
+
+@contextlib.contextmanager
+def files_of(most: int) -> Iterator[None]:
+    """Let no file that this process writes grow beyond so many bytes, as on a full disk."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 class Program:

@@ -19,6 +19,8 @@ from j2a_spec.plural import counted
 import j2a
 from j2a.cli import main
 
+from .conftest import files_of
+
 OWN = ["getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
 OWN += ["divide", "echoNumbers", "echoShapes", "echoWords", "echoFirst"]
 
@@ -264,6 +266,21 @@ def test_read_into_a_file_and_to_standard_output(demo, tmp_path, capsysbinary):
     assert main(["read", demo, str(opcode_of(demo, "store"))]) == 0
     out, err = capsysbinary.readouterr()
     assert (out, err) == (data, b"")
+
+
+def test_a_write_of_what_was_read_that_fails_leaves_the_file(run, demo, tmp_path, monkeypatch):
+    target = tmp_path / "target"
+    target.write_bytes(b"old")
+    target.chmod(0o640)
+    assert run("write", demo, "store", "str:hello").code == 0
+    with files_of(2):
+        result = run("read", demo, "store", "-o", target)
+    assert (result.code, result.out, target.read_bytes()) == (2, "", b"old")
+    assert f"cannot write {target}: File too large" in result.err
+    assert [one.name for one in tmp_path.iterdir()] == ["target"]
+    assert run("read", demo, "store", "-o", target).code == 0
+    assert target.read_bytes() == b"hello"
+    assert target.stat().st_mode & 0o777 == 0o640
 
 
 @pytest.mark.parametrize(("kept", "where"), [(b"hxllo", 1), (b"hel", 3), (b"hello!", 5)])

@@ -521,14 +521,14 @@ def test_a_file_that_cannot_be_written_stays_as_it_was(run, transds, tmp_path, m
     transds.write_text(LISTING_9_2)
     made = tmp_path / "a.h"
     made.write_text("of before")
-    write_text = Path.write_text
+    write_bytes = Path.write_bytes
 
-    def write_half(path, text, *args, **options):
-        write_text(path, text[:9], *args, **options)
+    def write_half(path, data):
+        write_bytes(path, data[:9])
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr(Path, "write_text", write_half)
+        patched.setattr(Path, "write_bytes", write_half)
         assert "No space left" in failed(run, 2, "transds", transds, "--c", made).err
     assert made.read_text() == "of before"
     assert {one.name for one in tmp_path.iterdir()} == {"a.h", transds.name}
