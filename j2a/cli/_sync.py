@@ -2,15 +2,20 @@
 
 In: `status`, `plot` or `verify`. Out: a table or JSON; an SVG file.
 Rules: asks the daemon of this user first, then that of the system; `verify` needs no daemon and is
-in `_sync_verify`.
+in `_sync_verify`. Any program may be at the socket, so what it sends is checked before it is used.
 """
 
 import argparse
+import math
+import time
 from pathlib import Path
+from typing import Final
 
 from j2a_spec.plural import counted
+from j2a_spec.printable import printable
 
-from j2a.cli._exit import LINK, OK, CommandFailed, UsageError, file_errors
+from j2a.cli._exit import LINK, OK, TIMEOUT, CommandFailed, UsageError
+from j2a.cli._files import write_file
 from j2a.cli._link import (
     add_json_argument,
     add_link_options,
@@ -20,10 +25,10 @@ from j2a.cli._link import (
 )
 from j2a.cli._output import show, show_json
 from j2a.cli._sync_verify import verify
-from j2a.syncd.history import Round, rounds_of
+from j2a.syncd.history import MAX_BOARDS, Round, rounds_of
 from j2a.syncd.numbering import SHORT
 from j2a.syncd.plot import draw, panels_of
-from j2a.syncd.singleton import NotRunning, ask_any
+from j2a.syncd.singleton import OTHER_VERSION, NotRunning, ask_any
 
 NOTES = """\
 examples:
@@ -36,6 +41,9 @@ verify lets the first board set its actuator to 1 at a given time; a wire leads 
 of a sensor of the second, which sends a sample with a time stamp for each edge. Printed are time
 stamp less given time, and how far off the two boards say they can be. The exit code is 1 if an edge
 is farther off."""
+
+_HISTORY_S: Final = 60.0
+"""For so long the daemon may take to tell the rounds of all boards."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -101,8 +109,7 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "plot":
         boards = _history()
         plot = draw("Clocks of J2A boards", panels_of(boards))
-        with file_errors(f"cannot write {args.output}"):
-            args.output.write_text(plot, "utf-8")
+        write_file(args.output, plot)
         count = sum(map(len, boards.values()))
         if args.json:
             rounds = {board: len(those) for board, those in boards.items()}
@@ -119,19 +126,44 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _history() -> dict[str, list[Round]]:
-    """Ask for the rounds of each board that has some."""
+    """Ask for the rounds of each board that has some.
+
+    Raises:
+        CommandFailed: the daemon sends something else, or takes too long.
+    """
+    deadline = time.monotonic() + _HISTORY_S
+    history = {}
     try:
-        return {
-            str(board): rounds_of(_ask({"command": "history", "board": str(board)})["rounds"])
-            for board in _list(_ask({"command": "history"})["boards"])
-        }
-    except (KeyError, ValueError) as error:
-        raise CommandFailed(f"the daemon sent no history: {error}", LINK) from None
+        names = [_text(one) for one in _list(_ask({"command": "history"})["boards"])]
+        if len(names) > MAX_BOARDS:
+            raise ValueError(f"it has {len(names)} boards")
+        for name in names:
+            if time.monotonic() >= deadline:
+                raise CommandFailed(f"the history took longer than {_HISTORY_S:g} s", TIMEOUT)
+            rounds = _ask({"command": "history", "board": name})["rounds"]
+            history[printable(name)] = rounds_of(rounds)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CommandFailed(
+            f"the daemon sent no history ({error!r:.80}): {OTHER_VERSION}", LINK
+        ) from None
+    return history
 
 
 def _list(value: object) -> list[object]:
     if not isinstance(value, list):
-        raise ValueError(f"{value!r:.40} is no list")
+        raise TypeError(f"{value!r:.40} is no list")
+    return value
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r:.40} is no text")
+    return value
+
+
+def _count(value: object) -> int:
+    if type(value) is not int:
+        raise TypeError(f"{value!r:.40} is no integer")
     return value
 
 
@@ -141,17 +173,17 @@ def _ask(request: dict[str, object]) -> dict[str, object]:
     except NotRunning as error:
         raise CommandFailed(str(error), LINK) from None
     if "error" in reply:
-        raise CommandFailed(f"the daemon says: {reply['error']}", LINK)
+        raise CommandFailed(f"the daemon says: {reply['error']!s:.500}", LINK)
     return reply
 
 
 def _show(status: dict[str, object]) -> None:
     try:
         lines = _lines(status)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, OverflowError, TypeError, ValueError) as error:
         raise CommandFailed(
-            f"what the daemon told is no status ({error!r:.80}): is it of another version of "
-            "J2A? Start it again, or see what it told by --json",
+            f"what the daemon told is no status ({error!r:.80}): {OTHER_VERSION}, or see what it "
+            "told by --json",
             LINK,
         ) from None
     for line in lines:
@@ -162,9 +194,10 @@ def _lines(status: dict[str, object]) -> list[str]:
     """Return the table of a status.
 
     Raises:
-        KeyError, TypeError, ValueError: it is none.
+        KeyError, OverflowError, TypeError, ValueError: it is none.
     """
-    lines = [f"daemon {status['pid']}, for {status['uptime_s']} s, steps: {status['steps']}"]
+    pid, uptime_s, steps = (_count(status[name]) for name in ("pid", "uptime_s", "steps"))
+    lines = [f"daemon {pid}, for {uptime_s} s, steps: {steps}"]
     boards = _list(status["boards"])
     if not boards:
         return [*lines, "no boards"]
@@ -175,16 +208,20 @@ def _lines(status: dict[str, object]) -> list[str]:
         if not isinstance(one, dict):
             raise TypeError(f"{one!r:.40} is no board")
         lines.append(
-            f"{one['board']:<24} {one['state']:<10} {_number(one['offset_us'], 'us'):>12} "
-            f"{_number(one['rate_ppb'], 'ppb'):>12} {_number(one['uncertainty_us'], 'us'):>12} "
-            f"{one['lost']:>5}"
+            f"{_text(one['board']):<24} {_text(one['state']):<10} "
+            f"{_number(one['offset_us'], 'us'):>12} {_number(one['rate_ppb'], 'ppb'):>12} "
+            f"{_number(one['uncertainty_us'], 'us'):>12} {_count(one['lost']):>5}"
         )
         if one.get("frames_modulo") == SHORT:
             lines.append(f"  frames modulo {SHORT}")
         if one.get("problem"):
-            lines.append(f"  {one['problem']}")
+            lines.append(f"  {_text(one['problem'])}")
     return lines
 
 
 def _number(value: object, unit: str) -> str:
-    return f"{value:.0f} {unit}" if isinstance(value, int | float) else "-"
+    if value is None:
+        return "-"
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise TypeError(f"{value!r:.40} is no number")
+    return f"{value:.0f} {unit}"

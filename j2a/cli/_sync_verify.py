@@ -227,13 +227,14 @@ def _announced_us(board: j2a.Client, status: Status) -> float:
     url = unquote(board.url.partition("?")[0])
     names = {url, url.partition(":")[2].rpartition("/")[2]}
     # A daemon of another version may tell something else.
-    unknown = (NotRunning, AttributeError, KeyError, TypeError, ValueError)
+    unknown = (NotRunning, AttributeError, LookupError, OverflowError, TypeError, ValueError)
     for folder in folders():
         with contextlib.suppress(*unknown):
             rows: Any = ask(folder, {"command": "status"}).get("boards", [])
             found = [row for row in rows if names & {row["board"], row["place"].split()[-1]}]
-            if len(found) == 1 and found[0]["uncertainty_us"] is not None:
-                return float(found[0]["uncertainty_us"])
+            [told] = [row["uncertainty_us"] for row in found]
+            if type(told) in {int, float} and 0 <= told < math.inf:
+                return float(told)
     raise UsageError(
         f"{board.url} does not know how far off its clock is, because it was told the time by "
         "SyncUSB only, and no j2a syncd says so: --bound US says what is allowed"

@@ -27,7 +27,15 @@ from j2a.cli._output import note, show
 from j2a.cli._setup import group_number
 from j2a.syncd.daemon import MAX_BOARDS, Daemon
 from j2a.syncd.realtime import realtime
-from j2a.syncd.singleton import LIMIT_S, NotRunning, Server, Taken, ask_any, folders
+from j2a.syncd.singleton import (
+    LIMIT_S,
+    OTHER_VERSION,
+    NotRunning,
+    Server,
+    Taken,
+    ask_any,
+    folders,
+)
 
 NOTES = """\
 examples:
@@ -185,7 +193,12 @@ def _ports() -> Callable[[], list[Any]] | None:
 
 
 def _tell(args: argparse.Namespace) -> str | None:
-    """Tell a daemon that runs to look for boards; return what came of it, None without one."""
+    """Tell a daemon that runs to look for boards; return what came of it, None without one.
+
+    Raises:
+        UsageError: it refuses.
+        CommandFailed: what answers is no daemon.
+    """
     request: dict[str, Any] = {"command": "look", "urls": args.urls}
     if args.busnum is not None:
         request["only"] = [args.busnum, args.device]
@@ -194,8 +207,10 @@ def _tell(args: argparse.Namespace) -> str | None:
     except NotRunning:
         return None
     if "error" in reply:
-        raise UsageError(f"the daemon that runs already says: {reply['error']}")
-    told = f"a daemon runs already (process {reply.get('pid')}) and looks for boards"
+        raise UsageError(f"the daemon that runs already says: {reply['error']!s:.500}")
+    if type(reply.get("pid")) is not int:
+        raise CommandFailed(f"what answers is no j2a syncd: {OTHER_VERSION}", LINK)
+    told = f"a daemon runs already (process {reply['pid']}) and looks for boards"
     return told + _left_out(args)
 
 

@@ -21,6 +21,8 @@ MAX_ROUNDS: Final = 7200
 MAX_BOARDS: Final = 256
 MAX_TOLD: Final = 2000
 """Rounds of a board; more are thinned."""
+_MOST: Final = 1e18
+"""No number of a round is greater, so that squares and differences of them are finite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +91,13 @@ def rounds_of(facts: object) -> list[Round]:
         ValueError: it is something else.
     """
     try:
-        return [Round(*(float(value) for value in one)) for one in facts]  # type: ignore[attr-defined]
-    except (TypeError, ValueError) as error:
+        if len(facts) > MAX_TOLD:  # type: ignore[arg-type]
+            raise ValueError(f"more than {MAX_TOLD} rounds")
+        rows = [[float(value) for value in one] for one in facts]  # type: ignore[attr-defined]
+        if not all(abs(value) <= _MOST for row in rows for value in row):  # nor NaN
+            raise ValueError("a number is too large")
+        return [Round(*row) for row in rows]
+    except (OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"no history: {error}") from None
 
 

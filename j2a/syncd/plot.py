@@ -24,6 +24,10 @@ _TOP: Final = 40
 _MAX_POINTS: Final = 2000
 _COLOURS: Final = ("#1f77b4", "#d95f02", "#1b9e77", "#7570b3", "#e7298a", "#66a61e")
 _MAX_DECADES: Final = 15
+_LEAST_SPREAD: Final = 1e-12
+"""Less than this, also as a part of the values themselves, is a flat line."""
+_LEAST_LOG: Final = 1e-300
+"""What is smaller has no decade that a float can be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +141,7 @@ def _shown(points: Points, *, is_log: bool) -> list[tuple[float, float]]:
     finite = [
         (x, y)
         for x, y in points
-        if math.isfinite(x) and math.isfinite(y) and (not is_log or (x > 0 and y > 0))
+        if math.isfinite(x) and math.isfinite(y) and (not is_log or min(x, y) >= _LEAST_LOG)
     ]
     if len(finite) <= _MAX_POINTS:
         return finite
@@ -160,7 +164,9 @@ class _Axis:
             self._low = float(math.floor(math.log10(low)))
             self._high = max(float(math.ceil(math.log10(high))), self._low + 1)
             return
-        spread = high - low or abs(high) or 1.0
+        spread, large = high - low, max(abs(low), abs(high))
+        if spread <= _LEAST_SPREAD * large or spread < _LEAST_SPREAD:
+            spread = large if large > _LEAST_SPREAD else 1.0
         self._step = 10.0 ** math.floor(math.log10(spread / 4))
         for factor in (5, 2):
             if spread / (factor * self._step) >= 4:

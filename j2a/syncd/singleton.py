@@ -23,15 +23,19 @@ from typing import Any, Final
 
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 
-__all__ = ["NotRunning", "Server", "Taken", "ask", "ask_any", "folders"]
+__all__ = ["OTHER_VERSION", "NotRunning", "Server", "Taken", "ask", "ask_any", "folders"]
 
 _logger = logging.getLogger("j2a.syncd")
 SOCKET: Final = "syncd.sock"
 LOCK: Final = "syncd.lock"
 MAX_REQUEST: Final = 4096
 MAX_REPLY: Final = 4 * 1024 * 1024
+_LEVELS: Final = 8
+"""No reply has more lists and objects, one in the other."""
 LIMIT_S: Final = 5.0
 """For so long whoever asks waits."""
+OTHER_VERSION: Final = "is it of another version of J2A? Start it again"
+"""What may be so, and what to do, where something answers as no daemon does."""
 _SERVE_S: Final = 2.0
 """For so long a connection may last."""
 MAX_CONNECTIONS: Final = 32
@@ -296,9 +300,17 @@ def ask(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise NotRunning(f"no daemon answers at {path}: {why}; start one: j2a syncd") from None
-    if not isinstance(reply, dict):
-        raise NotRunning(f"what answers at {path} is no j2a syncd")
+    if not isinstance(reply, dict) or _is_deeper(reply, _LEVELS):
+        raise NotRunning(f"what answers at {path} is no j2a syncd: {OTHER_VERSION}")
     return reply
+
+
+def _is_deeper(value: object, levels: int) -> bool:
+    """Tell whether JSON has more levels, of which a thousand cannot even be printed."""
+    if not isinstance(value, dict | list):
+        return False
+    parts = value.values() if isinstance(value, dict) else value
+    return levels == 0 or any(_is_deeper(part, levels - 1) for part in parts)
 
 
 def ask_any(request: dict[str, Any]) -> dict[str, Any]:

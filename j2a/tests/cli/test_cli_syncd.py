@@ -1,12 +1,15 @@
 """`j2a syncd` and `j2a sync` as processes: one daemon, which later ones tell and signals end."""
 
+import contextlib
 import fcntl
 import json
+import math
 import os
 import pty
 import re
 import select
 import signal
+import socket
 import stat
 import subprocess
 import sys
@@ -24,6 +27,8 @@ from j2a.cli import _setup
 from j2a.demo import DemoDevice
 from j2a.syncd import system
 from j2a.syncd.singleton import Server, ask
+
+from .conftest import files_of
 
 ROOT = Path(__file__).parents[3]
 WAIT_S = 300  # of a hang: beside other programs some steps took nearly 60 s
@@ -159,6 +164,151 @@ def test_a_daemon_that_tells_something_else_is_named(run, folder, boards):
     assert json.loads(as_json.out) == status
 
 
+ROW = {"board": "left", "state": "locked", "lost": 0}
+ROW |= dict.fromkeys(["offset_us", "rate_ppb", "uncertainty_us"], 1)
+STATUS = {"pid": 1, "uptime_s": 2, "steps": 0, "boards": [ROW]}
+
+
+@contextlib.contextmanager
+def answering(folder, reply):
+    """Be what answers at the socket: `reply(request)` returns an object, or text to send."""
+    folder.mkdir(exist_ok=True)
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(os.fspath(folder / "syncd.sock"))
+        listener.listen()
+
+        def serve():
+            with contextlib.suppress(OSError):  # it was closed
+                while True:
+                    connection, _ = listener.accept()
+                    with connection, contextlib.suppress(OSError):
+                        said = reply(json.loads(connection.recv(5000)))
+                        text = said if isinstance(said, str) else json.dumps(said)
+                        connection.sendall(text.encode() + b"\n")
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield
+        finally:
+            listener.shutdown(socket.SHUT_RDWR)
+            thread.join(WAIT_S)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"pid": "me"},
+        {"uptime_s": None},
+        {"steps": True},
+        {"boards": [ROW | {"board": 7}]},
+        {"boards": [ROW | {"state": True}]},
+        {"boards": [ROW | {"lost": "none"}]},
+        {"boards": [ROW | {"problem": [1]}]},
+        {"boards": [ROW | {"offset_us": 10**400}]},
+        {"boards": [ROW | {"rate_ppb": math.nan}]},
+        {"boards": [ROW | {"uncertainty_us": "little"}]},
+        {"boards": [ROW | {"uncertainty_us": False}]},
+    ],
+)
+def test_a_status_of_other_kinds_is_none(run, folder, changed):
+    with answering(folder, lambda _request: STATUS):
+        assert run("sync", "status").code == 0
+    (folder / "syncd.sock").unlink()
+    with answering(folder, lambda _request: STATUS | changed):
+        result = run("sync", "status")
+    assert (result.code, result.out) == (3, "")
+    assert "is it of another version" in result.err
+
+
+@pytest.mark.parametrize("words", [["status"], ["status", "--json"], ["plot", "-o", "x.svg"]])
+@pytest.mark.parametrize(
+    "reply", ["[]", "x", *('{"a": ' + "[" * deep + "]" * deep + "}" for deep in (500, 3000))]
+)
+def test_what_is_no_answer_of_a_daemon_is_named(run, folder, words, reply):
+    with answering(folder, lambda _request: reply):
+        result = run("sync", *words)
+    assert result.code == 3
+    told = json.loads(result.out)["error"]["message"] if "--json" in words else result.err
+    assert "j2a syncd" in told
+    assert len(told) < 500
+
+
+def test_an_error_of_a_daemon_is_short(run, folder):
+    with answering(folder, lambda _request: {"error": "x" * 1_000_000}):
+        result = run("sync", "status")
+    assert result.code == 3
+    assert len(result.err) < 1000
+
+
+LINE = [[1e9 + second, 1.0, 1.0, 1.0] for second in range(10)]
+
+
+@pytest.mark.parametrize(
+    "rounds",
+    [
+        [[1e9, 10**400, 0, 0]],
+        [[1e9 + second, 1e200 * second**2, 0, 0] for second in range(10)],
+        [[1e9, -1e308, 0, 0], [1e9 + 1, 1e308, 0, 0]],
+        [[1e9 + second, math.nan, 0, 0] for second in range(10)],
+        LINE * 300,
+        "left",
+    ],
+)
+def test_a_history_that_is_none_is_told(run, folder, tmp_path, rounds):
+    plot = tmp_path / "p.svg"
+    plot.write_text("old")
+    with answering(
+        folder, lambda asked: {"rounds": rounds} if "board" in asked else {"boards": ["left"]}
+    ):
+        result = run("sync", "plot", "-o", plot)
+    assert (result.code, result.out, plot.read_text()) == (3, "", "old")
+    assert "no history" in result.err
+    assert "is it of another version" in result.err
+
+
+@pytest.mark.parametrize("boards", [["left", 7], [f"board {number}" for number in range(257)]])
+def test_boards_that_no_daemon_has_are_not_asked_for(run, folder, tmp_path, boards):
+    asked = []
+    with answering(folder, lambda one: asked.append(one) or {"boards": boards, "rounds": LINE}):
+        result = run("sync", "plot", "-o", tmp_path / "p.svg")
+    assert result.code == 3
+    assert "no history" in result.err
+    assert len(asked) == 1
+
+
+def test_a_daemon_that_takes_long_for_each_board_is_not_awaited(run, folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("j2a.cli._sync._HISTORY_S", 0.3)
+    asked = []
+
+    def slow(one):
+        asked.append(one)
+        time.sleep(0.2)
+        return {"boards": list("abcdefghijkl"), "rounds": LINE}
+
+    with answering(folder, slow):
+        result = run("sync", "plot", "-o", tmp_path / "p.svg")
+    assert result.code == 4
+    assert "took longer than 0.3 s" in result.err
+    assert len(asked) < 5
+
+
+def test_a_name_of_a_board_can_stand_in_a_plot(run, folder, tmp_path):
+    name = "a\ud800\0b"
+    with answering(folder, lambda asked: {"boards": [name], "rounds": LINE}):
+        assert run("sync", "plot", "-o", tmp_path / "p.svg").code == 0
+    texts = [one.text for one in ET.parse(tmp_path / "p.svg").iter()]
+    assert r"a\ud800\x00b" in texts
+
+
+@pytest.mark.parametrize("reply", [{}, {"pid": "x"}])
+def test_who_else_answers_takes_no_boards(run, folder, reply):
+    with answering(folder, lambda _request: reply):
+        result = run("syncd", "--no-usb")
+    assert (result.code, result.out) == (3, "")
+    assert "is it of another version" in result.err
+
+
 def test_in_the_background(run, folder):
     done = subprocess.run(
         [sys.executable, "-m", "j2a", "syncd", "--no-usb", "--daemon"], check=False, timeout=WAIT_S
@@ -224,6 +374,16 @@ def test_a_plot_that_cannot_be_written(run, daemon, tmp_path):
     result = run("sync", "plot", "-o", tmp_path / "no" / "p.svg")
     assert result.code == 2
     assert "cannot write" in result.err
+
+
+def test_a_plot_that_cannot_be_finished_leaves_the_old_one(run, daemon, tmp_path):
+    plot = tmp_path / "p.svg"
+    plot.write_text("old")
+    with files_of(100):
+        result = run("sync", "plot", "-o", plot)
+    assert (result.code, plot.read_text()) == (2, "old")
+    assert f"cannot write {plot}: File too large" in result.err
+    assert not list(tmp_path.glob("*.part"))
 
 
 def test_a_folder_that_cannot_be_made(run, monkeypatch, tmp_path):

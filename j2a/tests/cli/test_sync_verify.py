@@ -5,6 +5,7 @@ moment at which a thread of this computer runs: so the figures are those of the 
 """
 
 import json
+import math
 import struct
 import threading
 import time
@@ -204,7 +205,21 @@ def test_boards_on_a_usb_are_known_to_the_daemon_by_serial_or_place(monkeypatch,
     assert _announced_us(board, status) == 80
 
 
-@pytest.mark.parametrize("rows", [None, "x", [1], [{}], [{"board": "left", "place": 1}]])
+LEFT = {"board": "left", "place": "left"}
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        None,
+        "x",
+        [1],
+        [{}],
+        [{"board": "left", "place": 1}],
+        [{"board": "left", "place": ""}],
+        *([LEFT | {"uncertainty_us": bad}] for bad in (10**400, math.inf, math.nan, -1, "9", True)),
+    ],
+)
 def test_a_daemon_that_tells_something_else_announces_nothing(monkeypatch, rows):
     monkeypatch.setattr("j2a.cli._sync_verify.ask", lambda *_what: {"boards": rows})
     board, status = SimpleNamespace(url="usb://left"), SimpleNamespace(uncertainty_us=None)

@@ -148,7 +148,15 @@ def test_values_that_cannot_be_drawn_are_left_out():
 
 
 def test_flat_lines_and_huge_ranges_have_axes():
-    for points in ([(0.0, 0.0)], [(0.0, 7e15), (1.0, 7e15)], [(1e-9, 1e-12), (1e9, 1e12)]):
+    almost = [(0.0, 7e15), (1.0, math.nextafter(7e15, 8e15))]
+    least = [(0.0, 0.0), (5e-324, 5e-324)]
+    for points in (
+        [(0.0, 0.0)],
+        almost,
+        least,
+        [(0.0, 7e15), (1.0, 7e15)],
+        [(1e-9, 1e-12), (1e9, 1e12)],
+    ):
         for is_log in (False, True):
             shown = [(x + 1, y + 1) for x, y in points] if is_log else points
             assert "<polyline" in draw("x", [Panel("y", "x", {"a": shown}, is_log=is_log)])
