@@ -158,6 +158,7 @@ class AsyncClockKeeper(KeeperBase):
         if clock._keeper is not None and clock._keeper.is_running:
             raise LocalError(f"the clock of {clock._url} is disciplined or followed already")
         clock._keeper = self
+        self._forget_steps()  # this may be awaited long after it was made
         self._task = task = asyncio.create_task(self._work(), name=f"j2a clock {clock._url}")
         self._forget = clock._client._handlers.at_end(lambda _reason: _cancel(task))
         return self

@@ -474,7 +474,12 @@ class KeeperBase:
         self._period_s = period_s
         self._is_setting = is_setting
         self._round = clock._adjust if is_setting else clock._measure
-        self._steps = clock._host.reference.steps
+        self._forget_steps()
+
+    def _forget_steps(self) -> None:
+        """Take the clock of this computer as it is: what was set before is nothing to log."""
+        self._clock._host.observe()
+        self._steps = self._clock._host.reference.steps
 
     @property
     def is_running(self) -> bool:

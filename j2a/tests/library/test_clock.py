@@ -215,6 +215,35 @@ def test_a_step_of_this_computer_is_followed_by_a_step(board, device, caplog):
     assert modes.count(c.CLOCK_STEP) == 1
 
 
+@pytest.mark.parametrize("is_known", [False, True])
+def test_a_step_from_before_a_keeper_is_not_logged(board, caplog, is_known):
+    clock, shift = settable(board)
+    clock.observe()
+    shift[0] = 3_600_000_000
+    if is_known:
+        clock.observe()
+    with board.clock.discipline(0.02) as keeper:
+        until(lambda: keeper.rounds > 1)
+    assert clock.reference.steps == 1
+    assert "was set by" not in caplog.text
+
+
+@in_event_loop
+async def test_a_step_from_before_a_keeper_is_awaited_is_not_logged(caplog):
+    with ClockedDevice() as device, served(device) as url:
+        async with await j2a.aconnect(url, timeout=PATIENCE_S) as board:
+            clock, shift = settable(board)
+            clock.observe()
+            keeper = board.clock.discipline(0.02)
+            shift[0] = 3_600_000_000
+            clock.observe()
+            async with keeper:
+                while keeper.rounds < 2:
+                    await asyncio.sleep(0.01)
+            assert clock.reference.steps == 1
+    assert "was set by" not in caplog.text
+
+
 NO_TIMES = ["x", None, b"5", math.nan, 1.5, 5.0, True, -1, 2**64, 2**70]
 
 
