@@ -22,9 +22,9 @@ from j2a.io.async_streams import AsyncSifStream, is_set_within
 from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.fleet_base import FleetBase, by_url
 from j2a.io.handlers import ErrorHook
-from j2a.io.links import join_threads_in_loop, start_or_do
+from j2a.io.links import join_threads_in_loop
 from j2a.io.loop import AsyncEngine
-from j2a.io.threads import JOIN_S
+from j2a.io.threads import JOIN_S, start_or_do
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.roster import BoardChange, Heartbeat, Member, wanted_boards
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.io.opening import WAIT_S, link_error
-from j2a.io.threads import PIECE, LinkThreads, Writer, clock_of, join_threads, start_thread
+from j2a.io.threads import PIECE, LinkThreads, Writer, clock_of, join_threads
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -29,7 +29,6 @@ __all__ = [
     "ThreadedLink",
     "WatchedLink",
     "join_threads_in_loop",
-    "start_or_do",
 ]
 
 IN_FLIGHT: Final = 4 * PIECE
@@ -251,12 +250,3 @@ async def join_threads_in_loop(threads: Sequence[threading.Thread], limit_s: flo
     while any(thread.is_alive() for thread in threads) and time.monotonic() < end:
         await asyncio.sleep(_JOIN_STEP_S)
     join_threads(threads, 0.0)
-
-
-def start_or_do(work: Callable[[], None], name: str) -> list[threading.Thread]:
-    """Do something that may wait in a thread, which is returned; here, where there is none."""
-    try:
-        return [start_thread(work, name)]
-    except LinkError:  # better late than never
-        work()
-        return []

@@ -20,8 +20,8 @@ from j2a.events import Reply, Restart, Sif
 from j2a.io.async_calls import AsyncCalls
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.engine_base import MAX_SIFS_WAITING, EngineBase
-from j2a.io.links import ThreadedLink, WatchedLink, join_threads_in_loop, start_or_do
-from j2a.io.threads import JOIN_S, LOOK_S
+from j2a.io.links import ThreadedLink, WatchedLink, join_threads_in_loop
+from j2a.io.threads import JOIN_S, LOOK_S, start_or_do
 from j2a.protocol.session import Call, Event
 
 __all__ = ["AsyncEngine"]

@@ -37,6 +37,7 @@ __all__ = [
     "clock_of",
     "join_threads",
     "process",
+    "start_or_do",
     "start_thread",
 ]
 
@@ -361,6 +362,15 @@ def start_thread(target: Callable[[], None], name: str) -> threading.Thread:
     except RuntimeError as error:
         raise OpenFailed(f"{name}: {error}; this process or system has too many") from None
     return thread
+
+
+def start_or_do(work: Callable[[], None], name: str) -> list[threading.Thread]:
+    """Do something that may wait in a thread, which is returned; here, where there is none."""
+    try:
+        return [start_thread(work, name)]
+    except LinkError:  # better late than never
+        work()
+        return []
 
 
 def join_threads(threads: Iterable[threading.Thread], limit_s: float) -> None:
