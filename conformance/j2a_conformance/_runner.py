@@ -99,6 +99,7 @@ def judge(
 
     Raises:
         HarnessError: the link cannot be opened, or nothing answers; later it only ends the run.
+        Exception: a fault of the suite; a note names the case.
     """
     began, began_s = datetime.now().astimezone(), time.monotonic()
     testee = opener()
@@ -129,6 +130,9 @@ def judge(
             raise
         # A testee that does not come back costs nothing of what was judged by then.
         stopped = f"after {case.ID}: {error}"
+    except Exception as error:
+        error.add_note(f"in the case {case.ID}")
+        raise
     finally:
         with suppress(TransportError):
             testee.close()

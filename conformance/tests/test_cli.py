@@ -4,11 +4,16 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import junitparser
 import pytest
 from j2a_conformance import load
 from j2a_conformance.cli import compare, main, run
+from j2a_conformance.device.cases.frame import Layout
+from j2a_conformance.host.cases.seq import Late
+
+CLIENT = [sys.executable, str(Path(__file__).parents[1] / "hosts" / "client.py")]
 
 
 @pytest.mark.parametrize(
@@ -84,6 +89,32 @@ def test_a_fault_of_the_suite_is_no_verdict(capsys, monkeypatch):
     assert main(["run", "exec:cat", "-v"]) == 3
     assert "Traceback" in (err := capsys.readouterr().err)
     assert "-v shows more" not in err
+
+
+def test_a_fault_of_the_suite_names_the_case_for_a_device(capsys, monkeypatch, build_firmware):
+    monkeypatch.setattr(Layout, "run", _broken)
+    arguments = ["run", f"exec:{build_firmware('demo')}", "--case", "frame.layout"]
+    _names_the_case(arguments, "frame.layout", capsys)
+
+
+def test_a_fault_of_the_suite_names_the_case_for_a_host(capsys, monkeypatch):
+    monkeypatch.setattr(Late, "run", _broken)
+    arguments = ["host", "--case", "host.seq.late", "--", *CLIENT]
+    _names_the_case(arguments, "host.seq.late", capsys)
+
+
+def _broken(*_args):
+    raise ZeroDivisionError("oh")
+
+
+def _names_the_case(arguments, case, capsys):
+    assert main(arguments) == 3
+    fault, advice = capsys.readouterr().err.splitlines()
+    what = "-v shows more: ZeroDivisionError: oh"
+    assert fault == f"j2a-conform: a fault of the suite in the case {case}, {what}"
+    assert advice == (
+        "This says nothing about the testee: report it, and choose other cases by --case."
+    )
 
 
 def test_a_command_without_v_does_not_speak_of_it(capsys, monkeypatch):

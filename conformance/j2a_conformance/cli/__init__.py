@@ -104,9 +104,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         verbose = getattr(args, "verbose", None)  # None: the command has no -v
         if verbose:
             traceback.print_exc()
+        notes = getattr(error, "__notes__", [])  # the runner names the case
+        where = f" {notes[-1]}" if notes else ""
         hint = ", -v shows more" if verbose is False else ""
         what = f"{type(error).__name__}: {error}"
-        note(f"j2a-conform: a fault of the suite{hint}: {what}")
+        note(f"j2a-conform: a fault of the suite{where}{hint}: {what}")
+        if notes:
+            note("This says nothing about the testee: report it, and choose other cases by --case.")
     finally:
         finish_notes()
     return HARNESS
