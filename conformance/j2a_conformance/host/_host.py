@@ -38,6 +38,7 @@ _LIMIT_MS: Final = 3000
 _SILENCE_MS: Final = 60
 _MOST: Final = 200
 _MOST_TOLD: Final = 4500  # of 249 bytes: 1 MiB of properties
+_JOB_S: Final = 120.0  # no job has more than a quarter of it for its time limit
 _PAUSE_S: Final = 0.0004
 _LAST_WORDS_S: Final = 0.5
 
@@ -66,6 +67,7 @@ class Host:
         self.limit_ms = int(_LIMIT_MS * scale)
         self.silence_ms = int(_SILENCE_MS * scale)
         self._patience_s = _PATIENCE_S * scale
+        self._job_s = _JOB_S * scale
         self._place = place
         self._sif_seq = 0
         self.slow_s = 0.0
@@ -77,6 +79,7 @@ class Host:
         self._begin()
 
     def _begin(self) -> None:
+        self._ends_s = self.link.now_s() + self._job_s
         self._seqs = Seqs()
         self._is_met = False
         self._pending: Frame | None = None
@@ -154,14 +157,16 @@ class Host:
 
     # Jobs and outcomes
 
-    def job(self, text: str) -> None:
-        """Give the host, which waits for it, its next job."""
+    def job(self, text: str, more_s: float = 0.0) -> None:
+        """Give the host, which waits for it, its next job, and `more_s` than others have for it."""
         self.send(self.job_frame(text))
+        self._ends_s += more_s
 
     def job_frame(self, text: str) -> bytes:
         """Return the wire bytes that give the next job; they must be sent."""
         seq, self._pending, self._told = self.resting_seq, None, 0
         self._verb = text.partition(" ")[0]
+        self._ends_s = self.link.now_s() + self._job_s
         self.link.note(f"job: {text}")
         self._seqs.reply(seq, is_error=False)
         return wire_of(c.SOF, seq, c.RET_OK, text.encode())
@@ -383,6 +388,9 @@ class Host:
     def _next_arrival(self, timeout_s: float) -> Arrival | None:
         if self._held:
             return self._held.pop(0)
+        # Requests that the device answers each put off the end of a wait, so they need an end, too.
+        if self.link.now_s() > self._ends_s:
+            fail(f"the host goes on for {self._job_s:.0f} s, and does not report")
         try:
             arrival = self.link.next(timeout_s)
         except LinkLost as error:

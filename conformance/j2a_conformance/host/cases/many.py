@@ -14,7 +14,7 @@ from j2a_conformance.host._outcomes import Request, difference, spell
 _MANY = 1
 _LARGE = 2**17 + 2000
 _FAR = 2**24 + 594  # a multiple of 7, for `spelt`
-_FAR_MS = 600_000
+_FAR_S = 600
 _SIZES = tuple(
     zip(
         (1, 6, 7, 248, 249, 250, 254, 255, 256, 257, 497, 498, 499, 504, 746, 747, 748, 1245),
@@ -195,10 +195,10 @@ class Far(HostCase):
 
     def _run(self, host: Host) -> None:
         content = pattern(_FAR)
-        host.job(f"read {FETCH} {_FAR_MS}")
+        host.job(f"read {FETCH} {_FAR_S * 1000}", _FAR_S)
         serve_read(host, content, (c.MANY_DATA,))
         host.outcome(f"data {spell(content)}", due=content)
-        host.job(f"write {STORE} {spelt(_FAR)} {_FAR_MS}")
+        host.job(f"write {STORE} {spelt(_FAR)} {_FAR_S * 1000}", _FAR_S)
         serve_write(host, content)
         host.outcome("written")
 
