@@ -182,6 +182,14 @@ class Host:
         self._await_conductor(wait_ms)
         return self._reported(accepted, due)
 
+    def outcomes(self, count: int, wait_ms: float = 0.0) -> list[Outcome]:
+        """Wait for the report on so many calls that were made together; return the parts of it."""
+        whole = self.outcome(wait_ms=wait_ms).whole
+        parts = [Outcome.parse(part) for part in whole.split(" ; ")]
+        if len(parts) != count:
+            fail(f"the host reports `{whole}`; expected {count} outcomes")
+        return parts
+
     def replied_with(self, code: int, payload: bytes) -> None:
         """Judge that the host reports a reply with this code and payload."""
         self.outcome(f"reply {code} {spell(payload)}", due=payload)

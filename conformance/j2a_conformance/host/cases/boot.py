@@ -167,10 +167,10 @@ class EndsAll(_BootCase):
             host.job("together " + " ; ".join([call] * count))
             requests = host.waiting(count, _ALL_MS)
             boot(host)
-            report = host.outcome().whole
-            outcomes = [Outcome.parse(text) for text in report.split(" ; ")]
-            if len(outcomes) != count or {outcome.word for outcome in outcomes} != {"restarted"}:
-                fail(f"the host reports `{report}`; due are {count} times `restarted`")
+            outcomes = host.outcomes(count)
+            words = [outcome.word for outcome in outcomes]
+            if set(words) != {"restarted"}:
+                fail(f"the calls ended as {words}; due are {count} times `restarted`")
             fates = [outcome.fate for outcome in outcomes]
             sent = fates.count("maybe-executed")
             if "" not in fates and sent != len(requests):
@@ -265,8 +265,8 @@ class Transfers(_BootCase):
         """Answer a chunk, as this device, with more behind the reply in one piece."""
         device = device or host.device
         request = host.request(device.opcode(c.MANY))
-        if request.payload[0] != device.opcode(name):
-            fail(f"the chunk is for the opcode {request.payload[0]}, not for {name}")
+        if request.payload[:1] != bytes((device.opcode(name),)):
+            fail(f"the chunk {spell(request.payload)} is not for {name}")
         code, payload = device.answer(request.opcode, request.payload)
         host.send(request.reply(code, payload) + behind)
         host.replied(request, code)
@@ -281,7 +281,8 @@ class Transfers(_BootCase):
         device, due = host.device, 0
         while (request := host.request_or_end()) is not None:
             chunk = request.payload
-            if request.opcode == device.opcode(c.MANY) and chunk[0] == device.opcode(name):
+            is_due = chunk[:1] == bytes((device.opcode(name),))
+            if request.opcode == device.opcode(c.MANY) and is_due:
                 if due == 0 and chunk[2:6] != bytes(4):
                     fail("a transfer that began before the restart goes on behind it")
                 due += 1

@@ -149,7 +149,7 @@ class _Scripted:
             (ahead_us, turnaround), self.ahead = self.ahead, (0, 0)
             received += ahead_us
             self._received_us = received
-            nonce = CLOCK_EXCHANGE.parse(request.payload).nonce
+            nonce = _fields(CLOCK_EXCHANGE, request).nonce
             self.nonces.append(nonce)
             self.host.link.wait_until(self.host.link.now_s() + self.delay_s)
             fields = {"nonce": nonce, "received": received, "turnaround": turnaround}
@@ -157,7 +157,7 @@ class _Scripted:
             return
         code = self._clock.code(request.payload, received)
         if item == c.CLOCK_ADJUST:
-            self.adjusts.append(CLOCK_ADJUST.parse(request.payload))
+            self.adjusts.append(_fields(CLOCK_ADJUST, request))
             if self.refuses:
                 code = c.CLOCK_BAD_VALUE
         elif item != c.CLOCK_STATUS:
@@ -171,6 +171,14 @@ class _Scripted:
         for name in ("time", "rate", "uncertainty"):
             fields[name] = sum(getattr(bounds, name)) // 2
         return bytes(CLOCK_STATUS.build(fields))
+
+
+def _fields(grammar: cs.Construct, request: Request) -> cs.Container:
+    """Return what a request to a2jClock says, or judge that it is none."""
+    try:
+        return grammar.parse(request.payload)
+    except cs.ConstructError:
+        fail(f"the request {request.payload.hex()} to a2jClock is not as the item has it")
 
 
 class _ClockCase(HostCase):

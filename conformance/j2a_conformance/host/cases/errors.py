@@ -12,7 +12,7 @@ from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, PING
 from j2a_conformance.host._dimensions import LENGTHS, content, frame
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._outcomes import Outcome, Request, spell
+from j2a_conformance.host._outcomes import Request, spell
 from j2a_conformance.wire._expected import DAMAGE
 
 _CODES = tuple(sorted(c.ERRORS))
@@ -196,8 +196,7 @@ class Hint(HostCase):
             late = host.request()
             host.reply(late, 1, late.payload)
         said = False
-        parts = [Outcome.parse(part) for part in host.outcome().whole.split(" ; ")]
-        for n, part in enumerate(parts, start=1):
+        for n, part in enumerate(host.outcomes(3), start=1):
             is_hinted = hinted.payload == bytes((n,))
             accepted = {f"reply 1 0{n}"} if is_answered or not is_hinted else {"timeout"}
             accepted |= {f"error {code}"} if is_hinted else set()

@@ -117,10 +117,10 @@ class OutOfOrder(HostCase):
             inform("the host makes one call at a time")
         for request in reversed(requests):
             host.reply(request, 1, request.payload)
-        outcome = host.outcome(wait_ms=host.limit_ms)
-        for payload, part in zip(payloads, outcome.text.split(" ; "), strict=False):
-            if part.startswith("reply") and part != f"reply 1 {payload.hex()}":
-                fail(f"the call with {payload.hex()} got `{part}`")
+        parts = host.outcomes(len(payloads), wait_ms=host.limit_ms)
+        for payload, part in zip(payloads, parts, strict=True):
+            if part.word == "reply" and part.text != f"reply 1 {payload.hex()}":
+                fail(f"the call with {payload.hex()} got `{part.text}`")
 
 
 def with_room(room: int) -> tuple[tuple[str, str], ...]:

@@ -37,7 +37,7 @@ class ReservedAmong(HostCase):
             first, second = requests
             host.send(second.reply(code, b"") + second.reply(1, second.payload))
             host.reply(first, 1, first.payload)
-            outcome = host.outcome(wait_ms=host.limit_ms)
-            parts = outcome.whole.split(" ; ")
-            if parts[second.payload[0] - 1].split(" ")[0] != "failed":
-                fail(f"`{outcome.whole}` was reported behind the code 0x{code:02X}")
+            parts = host.outcomes(2, wait_ms=host.limit_ms)
+            part = parts[second.payload == b"\x02"]
+            if part.word != "failed":
+                fail(f"`{part.whole}` was reported behind the code 0x{code:02X}")

@@ -220,12 +220,11 @@ class Queued(_Ends):
         for _ in _LONG[1:]:
             request = host.request(6)
             late = host.link.now_s() - began_s > long_ms / 1e3
-            if request.payload[0] not in _LONG:
-                limit_ms = limits[request.payload[0]]
-                fail(f"a call was sent whose time limit of {limit_ms} ms was over", suspect=True)
+            if request.payload not in [bytes((n,)) for n in _LONG]:
+                call = spell(request.payload)
+                fail(f"the call with {call} was sent, whose time limit was over", suspect=True)
             host.reply(request, 1, request.payload)
-        outcome = host.outcome().whole.split(" ; ")
-        for n, part in enumerate(map(Outcome.parse, outcome)):
+        for n, part in enumerate(host.outcomes(len(limits))):
             due = f"reply 1 0{n}" if n in _LONG else "timeout"
             if part.text != due:
                 fail(f"the call {n} ended as `{part.whole}`, expected `{due}`", suspect=late)
@@ -269,7 +268,7 @@ class AmongMany(_Ends):
             if request.payload == b"\x01":
                 host.reply(request, 1, b"\x01")
         took_ms = (host.link.now_s() - began_s) * 1e3
-        ends = [Outcome.parse(part).text for part in host.outcome().whole.split(" ; ")]
+        ends = [outcome.text for outcome in host.outcomes(3)]
         if "unsupported" in ends:
             skip("the host program repeats no call beside others")
         if ends != ["reply 1 01", "timeout", "timeout"]:
