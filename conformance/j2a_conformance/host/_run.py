@@ -11,7 +11,7 @@ from dataclasses import replace
 from j2a_transports import TransportError
 
 from j2a_conformance._judge import Judged
-from j2a_conformance._model import Result, Run
+from j2a_conformance._model import HarnessError, Result, Run
 from j2a_conformance._retry import Retry
 from j2a_conformance._runner import ATTEMPTS, Testee, judge
 
@@ -80,7 +80,7 @@ class _HostProgram(Testee[HostCase]):
         """Start the program anew, or wait until the host connects again."""
         try:
             self._host.restart()
-        except (Judged, TransportError) as error:
+        except (Judged, TransportError, HarnessError) as error:
             return f"the host did not come back after {after}: {error}"
         return ""
 

@@ -98,3 +98,19 @@ def test_a_report_of_fewer_calls_is_a_failure(case, host_reference, host_judged)
             return outcome.partition(" ; ")[0] if text.startswith("together") else outcome
 
     failed(host_judged(Forgets, [case]), case, "outcomes")
+
+
+def test_a_host_that_does_not_start_again_costs_no_verdict(host_reference, host_judged):
+    class Once(host_reference):
+        starts = 0
+
+        def run(self):
+            Once.starts += 1
+            if Once.starts == 1:
+                super().run()
+
+        def outcome(self, call):
+            return "timeout"  # which the case suspects to be a stall, so that it tries again
+
+    run = host_judged(Once, ["host.time.slow"])
+    failed(run, "host.time.slow", "the host reports `timeout`")
