@@ -7,6 +7,7 @@ them that only includes it. Rules: a page includes one file by its first line.
 
 import os
 import re
+from functools import cache
 from pathlib import Path
 
 from sphinx.application import Sphinx
@@ -15,6 +16,7 @@ INCLUDE = re.compile(r"```\{include\} (\S+)")
 LINK = re.compile(r"(?<=\]\()([^)\s#:]+\.md)(?=[)#])")
 
 
+@cache
 def including(docs: Path) -> dict[Path, Path]:
     """Return the page of each file that a page of this folder includes by its first line."""
     pages = {}
