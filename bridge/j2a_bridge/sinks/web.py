@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from j2a_spec.plural import counted
 
-from j2a import LocalError
+from j2a import LocalError, Reading
 from j2a.cli.plugin import plain
 from j2a.types.model import Enumeration, Structure, Type
 from j2a_bridge.actuator_values import ActuatorValues
@@ -58,26 +58,17 @@ class _Span:
     """What came of one topic since pages were told last.
 
     Args:
-        newest: what is shown of each channel; it is brought up to date.
+        newest: of each channel the sample and its reading that is shown; it is brought up to date.
     """
 
-    def __init__(self, newest: dict[int, str]) -> None:
+    def __init__(self, newest: dict[int, tuple[Update, Reading]]) -> None:
         self._newest = newest
         self.series: dict[str, list[tuple[int, float]]] = {}
 
     def add(self, update: Update) -> None:
         """Take a sample in: of each series the least, the greatest and the newest are kept."""
-        unit = f" {update.sample.unit}" if update.sample.unit else ""
-        sensor = update.topic.transducer
-        kind, (scale, offset) = sensor.type, scaling_of(sensor)
-        channels = self._newest
         for one in update.sample.readings:
-            if one.time_us is None:
-                channels[one.channel] = "none yet"
-            elif one.value is None:
-                channels[one.channel] = "N/A"
-            else:
-                channels[one.channel] = f"{_shown(one.raw, kind, scale, offset)}{unit}"
+            self._newest[one.channel] = update, one
         for stamp, name, value in numbers(update):
             point = stamp // _NS_PER_MS, value
             kept = self.series.get(name)
@@ -100,8 +91,20 @@ class _Span:
             for name, points in self.series.items()
         }
         most = max(self._newest, default=-1) + 1
-        values = [self._newest.get(channel, "none yet") for channel in range(most)]
+        values = [_text(self._newest.get(channel)) for channel in range(most)]
         return {"v": values, "s": series}
+
+
+def _text(newest: tuple[Update, Reading] | None) -> str:
+    """Return what is shown of a channel; only now, as most samples are replaced before."""
+    if newest is None or newest[1].time_us is None:
+        return "none yet"
+    update, reading = newest
+    if reading.value is None:
+        return "N/A"
+    sensor = update.topic.transducer
+    shown = _shown(reading.raw, sensor.type, *scaling_of(sensor))
+    return f"{shown} {update.sample.unit}" if update.sample.unit else shown
 
 
 def _shown(raw: Any, kind: Type, scale: float = 1.0, offset: float = 0.0) -> str:
@@ -176,7 +179,7 @@ class WebSink(Sink):
         self._lock = threading.Lock()
         self._topics: dict[str, Topic] = {}
         self._spans: dict[str, _Span] = {}
-        self._newest: dict[str, dict[int, str]] = {}
+        self._newest: dict[str, dict[int, tuple[Update, Reading]]] = {}
         self._status: Status | None = None
         self._log: deque[dict[str, Any]] = deque(maxlen=_LOG)
         self._lines: list[dict[str, Any]] = []
