@@ -56,6 +56,8 @@ class _Adjustment:
     low: Fraction = Fraction(0)
     high: Fraction = Fraction(0)
     """Bounds of target less time, in microseconds, at `at`."""
+    lags: tuple[tuple[int, Fraction], ...] = ()
+    """Until which local time the time may run as before an adjustment, and how far that is off."""
 
     def target(self, local: int) -> Fraction:
         return self.time + (local - self.local) * (1 + self.rate)
@@ -124,8 +126,13 @@ class Clock:
             low, high = Fraction(off) - 1, Fraction(off) + 1
         # A device that had reached its target was not on its way to anywhere.
         slew = Fraction(0) if self._last.is_reached(local - early) else _SLEW
-        lag = (abs(rate - self._last.rate) + slew) * (_LAG_US + early)
-        self._last = replace(new, low=low - lag, high=high + lag)
+        # Adjustments may follow each other before the time runs by the first one; without `off`,
+        # the distance from the target before holds that already.
+        before = self._last.lags if off is not None else ()
+        lags = (*before, (local + _LAG_US, abs(rate - self._last.rate) + slew))
+        lags = tuple((until, off_by) for until, off_by in lags if until > local - early)
+        lag = sum((until - local + early) * off_by for until, off_by in lags)
+        self._last = replace(new, low=low - lag, high=high + lag, lags=lags)
 
     def bounds(self, local: int) -> Bounds:
         """Return what STATUS may say at a local time, in us."""
