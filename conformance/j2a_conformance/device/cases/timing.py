@@ -105,6 +105,12 @@ def long_frames(peer: Peer) -> list[Request]:
     return found + [peer.request(o, payload_of(70, 1), c.ERR_OPCODE) for o in free]
 
 
+def _need_long_frames(peer: Peer) -> None:
+    """End a case that says nothing where long frames seldom arrive whole."""
+    if peer.link.lossy:
+        inform("a lossy link seldom carries a long frame whole")
+
+
 class LongFrames(Case):
     """Pauses for 8.5 ms at many places in long requests, and twice for 7 ms in requests of each
     length, of which some begin in one piece with the one before.
@@ -116,8 +122,7 @@ class LongFrames(Case):
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
-        if peer.link.lossy:
-            inform("a lossy link seldom carries a long frame whole")
+        _need_long_frames(peer)
         for n, request in enumerate(long_frames(peer)):
             wire = request.wire
             ends = {len(wire) - 2, len(wire) - 1}
@@ -150,8 +155,7 @@ class AnyPiece(Case):
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
-        if peer.link.lossy:
-            inform("a lossy link seldom carries a long frame whole")
+        _need_long_frames(peer)
         if peer.link.byte_s > _PIECE_BYTE_S:
             inform("on a link as slow as this no bytes come at once")
         for payload in (b"W", b"\x12"):  # of the latter two bytes each
