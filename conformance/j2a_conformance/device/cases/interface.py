@@ -132,8 +132,8 @@ class BehindEnd(Case):
     """Reads the interface at its end and at many offsets behind it, also with data."""
 
     ID = "interface.behind-end"
-    EXPECTATION = "An empty chunk with isLast, at the offset that was asked for."
-    REQUIREMENTS = ("J2A-IFACE-003", "J2A-MANY-010")
+    EXPECTATION = "0x00 and an empty chunk with isLast, at the offset that was asked for."
+    REQUIREMENTS = ("J2A-IFACE-001", "J2A-IFACE-003", "J2A-MANY-010")
     LEVEL = "interface"
     NEEDS = (c.GET_INTERFACE,)
 

@@ -99,8 +99,9 @@ class BehindEnd(Case):
     """Reads the properties at their end and at many offsets behind it, also with data."""
 
     ID = "properties.behind-end"
-    EXPECTATION = "An empty chunk with isLast, at the offset that was asked for."
+    EXPECTATION = "0x00 and an empty chunk with isLast, at the offset that was asked for."
     REQUIREMENTS = (
+        "J2A-PROP-001",
         "J2A-PROP-006",
         "J2A-MANY-007",
         "J2A-MANY-008",

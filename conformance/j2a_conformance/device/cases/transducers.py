@@ -89,8 +89,8 @@ class BehindEnd(TransducerCase):
     """Reads the descriptors at their end and at many offsets behind it, also with data."""
 
     ID = "transducers.behind-end"
-    EXPECTATION = "An empty chunk with isLast, at the offset that was asked for."
-    REQUIREMENTS = ("J2A-TRANS-003", "J2A-MANY-010")
+    EXPECTATION = "0x00 and an empty chunk with isLast, at the offset that was asked for."
+    REQUIREMENTS = ("J2A-TRANS-001", "J2A-TRANS-003", "J2A-MANY-010")
 
     def _judge(self, board: Board) -> None:
         check_end(board.peer, c.GET_TRANSDS)
