@@ -33,6 +33,7 @@ from ._board import (
 )
 
 _CHANNELS: Final = 16  # of which each range is set
+_LONG_MS: Final = 60_000  # a watchdog that does not expire
 
 
 class Set(TransducerCase):
@@ -111,6 +112,8 @@ class Set(TransducerCase):
                     board.exchange(bytes((one.id, item)) + bytes(33), c.TRANSD_BAD_LENGTH)
             board.exchange(bytes((one.id, c.TRANSD_SET)), c.TRANSD_NO_ITEM)
             board.rewrite(one)  # nor does what other items are
+            for limit_ms in (_LONG_MS, 0) if board.has(one, c.TRANSD_WATCHDOG) else ():
+                board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", limit_ms))
             for _ in board.until(due_us):
                 board.peer.link.pause(LOOK_S)
                 sample = board.read(one, c.TRANSD_SAMPLE)
