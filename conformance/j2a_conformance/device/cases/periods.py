@@ -46,7 +46,7 @@ _RATE: Final = 0.95  # the clock may run slower than the local time
 _IN_TIME: Final = 0.94
 
 
-class _Due(TransducerCase):
+class PeriodCase(TransducerCase):
     """Measures when sample SIFs of each sensor begin."""
 
     NEEDS = (*TransducerCase.NEEDS, STIMULUS)
@@ -71,17 +71,43 @@ class _Due(TransducerCase):
         board: Board, one: oracle.Transducer, period_us: int, attempt: Callable[[int], bool]
     ) -> None:
         """Fail where all attempts are in vain, each with a longer period as far as it may be."""
-        is_short = period_us <= _LONGEST_SHORT_US and not _Due._is_slow(board, one)
+        is_short = period_us <= _LONGEST_SHORT_US and not PeriodCase._is_slow(board, one)
         for _ in range(_TRIES):
             if attempt(period_us):
                 return
             period_us = min(2 * period_us, _LONGEST_SHORT_US if is_short else _LONGEST_US)
         fail(f"a sample SIF of {one.name} comes long after it was due", suspect=True)
 
+    def _in_middle(
+        self,
+        board: Board,
+        one: oracle.Transducer,
+        us: int,
+        begun: tuple[int, int],
+        since: int,
+        *,
+        change: Callable[[], None],
+        periods: int = 1,
+    ) -> bool:
+        """Change something within the period; return whether that was in time, and so is the
+        sample SIF, so many periods behind the one before.
+        """
+        low_us, high_us = begun
+        board.wait_until(high_us + us // 2)
+        written_us = board.time_us()
+        change()
+        is_early = board.time_us() < low_us + us
+        board.sif(one, since)
+        begun_us = board.time_us()
+        self._not_before(one, begun_us, low_us, (periods if is_early else 1) * us)
+        return is_early and begun_us < written_us + periods * us * _IN_TIME
+
     @staticmethod
     def _is_slow(board: Board, one: oracle.Transducer, period_us: int = _LONGEST_SHORT_US) -> bool:
         """Whether no time is told soon enough for short periods; a stall spoils only some."""
-        spans_us = (high - low for low, high in (_Due._refer(board, one) for _ in range(_TRIES)))
+        spans_us = (
+            high - low for low, high in (PeriodCase._refer(board, one) for _ in range(_TRIES))
+        )
         return all(span_us > period_us // _SLOW for span_us in spans_us)
 
     @staticmethod
@@ -89,7 +115,7 @@ class _Due(TransducerCase):
         """Have a sample SIF sent at once; return times around its start, the next reference."""
         board.write(one, c.TRANSD_PERIOD, bytes(4))
         low_us = board.time_us()
-        _Due._send(board, one, 0)
+        PeriodCase._send(board, one, 0)
         return low_us, board.time_us()
 
     @staticmethod
@@ -104,7 +130,7 @@ class _Due(TransducerCase):
     def _send(board: Board, one: oracle.Transducer, channel: int) -> int:
         """Give a value; return a time after the start of its sample SIF."""
         since = board.seen
-        _Due._give(board, one, channel)
+        PeriodCase._give(board, one, channel)
         board.sif(one, since)
         return board.time_us()
 
@@ -117,7 +143,7 @@ class _Due(TransducerCase):
             )
 
 
-class ShortPeriod(_Due):
+class ShortPeriod(PeriodCase):
     """Gives sensors two values after one, with periods that only quick links can tell from none."""
 
     ID = "transducers.period-short"
@@ -134,7 +160,7 @@ class ShortPeriod(_Due):
                 self._not_before(one, self._send(board, one, -(number % 2)), low_us, number * us)
 
 
-class LatePeriod(_Due):
+class LatePeriod(PeriodCase):
     """Gives sensors values late by some of a period, one and several in a row, and others behind
     them, also where the sensor was disabled meanwhile or several values wait.
     """
@@ -201,7 +227,7 @@ class LatePeriod(_Due):
         return second_us < given_us + us * _IN_TIME
 
 
-class SilentPeriod(_Due):
+class SilentPeriod(PeriodCase):
     """Gives sensors two values after some periods without one, or in which they were disabled."""
 
     ID = "transducers.period-silence"
@@ -223,7 +249,7 @@ class SilentPeriod(_Due):
             self._not_before(one, self._send(board, one, 0), given_us, period_us)
 
 
-class WrittenPeriod(_Due):
+class WrittenPeriod(PeriodCase):
     """Writes PERIOD and ENABLED in the middle of a period: longer, shorter and the same values; or
     reads all items then, and writes them as they are.
     """
@@ -300,32 +326,8 @@ class WrittenPeriod(_Due):
         if board.has(one, c.TRANSD_TRIGGER):
             board.write(one, c.TRANSD_TRIGGER, struct.pack("<Q", _AHEAD_US))
 
-    def _in_middle(
-        self,
-        board: Board,
-        one: oracle.Transducer,
-        us: int,
-        begun: tuple[int, int],
-        since: int,
-        *,
-        change: Callable[[], None],
-        periods: int = 1,
-    ) -> bool:
-        """Change something within the period; return whether that was in time, and so is the
-        sample SIF, so many periods behind the one before.
-        """
-        low_us, high_us = begun
-        board.wait_until(high_us + us // 2)
-        written_us = board.time_us()
-        change()
-        is_early = board.time_us() < low_us + us
-        board.sif(one, since)
-        begun_us = board.time_us()
-        self._not_before(one, begun_us, low_us, (periods if is_early else 1) * us)
-        return is_early and begun_us < written_us + periods * us * _IN_TIME
 
-
-class QueuedPeriod(_Due):
+class QueuedPeriod(PeriodCase):
     """Gives sensors with queue more values within a period than a sample SIF holds."""
 
     ID = "transducers.period-queue"
