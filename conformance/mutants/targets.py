@@ -48,6 +48,7 @@ _HOST_CASES: Final = {case.ID: case for case in (host.START, *host.load())}
 # Of the waits for an answer: a process on this machine answers at once.
 _SCALE: Final = 0.25
 _HOST_SCALE: Final = 0.5
+_FAST_PPM: Final = 3_000_040  # of a crystal
 _START_S: Final = 20.0
 _ATTEMPTS: Final = 3
 _AnyCase = TypeVar("_AnyCase", Case, host.HostCase)
@@ -164,8 +165,7 @@ class _Trial:
 
     def unmutated(self) -> tuple[str, ...]:
         """Do all cases; return those that failed, in whatever way."""
-        found = self._run(self._job.cases)
-        return tuple(result.case for result in found.with_verdict(Verdict.FAILED))
+        return tuple(result.case for result in self._run(self._job.cases))
 
     def mutated(self, mutant: Mutant) -> tuple[str, ...]:
         """Return the cases that failed, at least one that kills if there is one."""
@@ -199,11 +199,11 @@ class _Trial:
 
     def _twice(self, naming: Collection[str]) -> tuple[str, ...]:
         """Do all cases; return those that failed also when they were done again."""
-        found = self._run(self._job.cases).with_verdict(Verdict.FAILED)
+        found = self._run(self._job.cases)
         first = [result.case for result in sorted(found, key=lambda result: result.duration_s)]
         killed = [name for name in first if name in naming and name in self._failed(name)]
         others = tuple(name for name in first if name not in naming)
-        again = self._run(others).with_verdict(Verdict.FAILED) if others else ()
+        again = self._run(others) if others else []
         return (*killed, *(r.case for r in again if r.case in others and not _died(r)))
 
     def _confirmed(self, names: Sequence[str]) -> tuple[str, ...]:
@@ -224,7 +224,7 @@ class _Trial:
     def _first(self, names: Sequence[str]) -> tuple[str, ...]:
         """Do cases in this order up to a failure; return what failed, unless the target is gone."""
         heard = _Heard()
-        failed = self._run(names, heard).with_verdict(Verdict.FAILED)
+        failed = self._run(names, heard)
         if self._job.is_any:
             return tuple(result.case for result in failed)
         if died := [result for result in failed if _died(result)]:
@@ -235,21 +235,30 @@ class _Trial:
             return tuple(result.case for result in failed)
         return ()
 
-    def _run(self, names: Sequence[str], heard: "_Heard | None" = None) -> Run:
+    def _run(self, names: Sequence[str], heard: "_Heard | None" = None) -> list[Result]:
+        """Do cases; return what failed."""
         self.tried.update(names)
         path = self.folder / "stderr"
+        failed: list[Result] = []
         with _stderr_in(path):
-            found = self._suite(names, heard or _Heard())
+            for part in _parts(self._job.how, names):
+                failed += self._suite(part, heard or _Heard()).with_verdict(Verdict.FAILED)
+                if failed and self._is_quick:
+                    break
         if not self._job.is_any and "Traceback" in (printed := path.read_text("utf-8", "replace")):
             raise TableError(f"an exception that is no breach of this rule:\n{printed}")
-        return found
+        return failed
+
+    @property
+    def _is_quick(self) -> bool:
+        return self._job.quick or self._job.is_any
 
     def _suite(self, names: Sequence[str], heard: "_Heard") -> Run:
-        how, quick = self._job.how, self._job.quick or self._job.is_any
+        how, quick = self._job.how, self._is_quick
         rule = self._job.mutant.requirement if self._job.mutant and not quick else ""
         if how.target == "host":
             return _host(how, _ordered(_HOST_CASES, names, rule), self.folder, quick)
-        url, scale = _device(how, self.folder)
+        url, scale = _device(how, self.folder, all(map(_is_of_clock, names)))
         return run(
             lambda: heard.listen(j2a_transports.open(url)),
             _ordered(_DEVICE_CASES, names, rule),
@@ -366,8 +375,14 @@ def _make(how: Variant, source: Path, out: Path) -> None:
         raise TableError(f"it is not built:\n{done.stderr}")
 
 
-def _device(how: Variant, folder: Path) -> tuple[str, float]:
-    """Return the URL of the device that `folder` holds, and the factor for the waits."""
+def _device(how: Variant, folder: Path, is_clock: bool) -> tuple[str, float]:
+    """Return the URL of the device that `folder` holds, and the factor for the waits.
+
+    Args:
+        how: how it was built.
+        folder: where it is.
+        is_clock: only cases of the clock will judge it.
+    """
     if how.target == "device":
         serve = ["-m", "j2a", "serve", "--listen", "stdio:", "--once"]
         if how.app in _TESTEES:
@@ -380,12 +395,25 @@ def _device(how: Variant, folder: Path) -> tuple[str, float]:
             (folder / "judged.py").write_text(text, "utf-8")
             serve += ["--device", "judged:device"]
         return "exec:" + shlex.join(_python(folder, *serve)), _SCALE
-    if how.port == "posix" and "J2A_WITH_SYNC=1" in how.options:  # so that cases wait less
-        return f"exec:env J2A_DRIFT_PPM=3000040 {shlex.quote(f'{folder}/out/{how.app}')}", _SCALE
     if how.port == "posix":
-        return f"exec:{shlex.quote(f'{folder}/out/{how.app}')}", _SCALE
+        # So cases of the clock wait less; others would find each period too short.
+        drift = f"env J2A_DRIFT_PPM={_FAST_PPM} " if is_clock else ""
+        return f"exec:{drift}{shlex.quote(f'{folder}/out/{how.app}')}", _SCALE
     usb = "?mcu=atmega32u4&link=usb" if how.port == "avr-usb" else ""
     return f"sim:{folder}/out/{how.app}.elf{usb}", 1.0
+
+
+def _parts(how: Variant, names: Sequence[str]) -> list[Sequence[str]]:
+    """Return the cases apart that want another crystal: see `_device`."""
+    if "J2A_WITH_SYNC=1" not in how.options:
+        return [names]
+    clock = [name for name in names if _is_of_clock(name)]
+    others = [name for name in names if not _is_of_clock(name)]
+    return [part for part in (clock, others) if part]
+
+
+def _is_of_clock(case: str) -> bool:
+    return case.startswith("clock.")
 
 
 def _claimed(how: Variant) -> Collection[Level]:
