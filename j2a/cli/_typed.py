@@ -71,8 +71,17 @@ def values_of(function: j2a.Function, words: Sequence[str]) -> list[object]:
     fields = function.signature.parameters
     if len(words) != len(fields):
         count = counted(len(fields), "value")
-        raise UsageError(f"{function.name}{function.signature} takes {count}, not {len(words)}")
+        hint = ""
+        if len(words) > len(fields) and any(map(_is_array, fields)):
+            hint = "; an array is one word, such as 1,2,3"
+        raise UsageError(
+            f"{function.name}{function.signature} takes {count}, not {len(words)}{hint}"
+        )
     return [_value(field, word) for field, word in zip(fields, words, strict=True)]
+
+
+def _is_array(field: Field) -> bool:
+    return field.type.count is not None and field.type.element not in OPEN
 
 
 def _value(field: Field, word: str) -> object:

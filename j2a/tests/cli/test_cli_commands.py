@@ -145,6 +145,14 @@ def test_values_that_do_not_fit(run, demo, words, message):
     assert message in result.err
 
 
+def test_elements_of_an_array_as_words_of_their_own(run, demo):
+    result = run("call", demo, "echoShapes", "slow", "1,2", "1", "2", "3", "note")
+    assert result.code == 2
+    assert "takes 4 values, not 6; an array is one word, such as 1,2,3" in result.err
+    result = run("call", demo, "add", "1", "2", "3")
+    assert result.err.endswith("takes 2 values, not 3\n")
+
+
 @pytest.mark.parametrize("words", [(), ("40", "2"), ("hello",)])
 def test_a_name_that_is_not_known_is_told_first(run, demo, words):
     result = run("call", demo, "ad", *words)
