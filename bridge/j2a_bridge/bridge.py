@@ -411,6 +411,9 @@ class Bridge:
                 self._announce(flow)
         # Of what it had before it was away, too.
         self._names.keep(board.name, flows)
+        if board.flows is None and flows:
+            topics = ", ".join(flow.topic.name for flow in flows.values())
+            _logger.info("%s is here: %s", board.name, topics)
         board.flows, board.counts = flows, {}
         missing = sorted(board.wanted.transducers.keys() - transducers.keys())
         board.problem = transducers.why if not transducers else ""

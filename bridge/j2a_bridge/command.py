@@ -150,6 +150,7 @@ def log_to_stderr() -> None:
     logger = logging.getLogger("j2a")
     logger.addHandler(notes)
     logger.propagate = False
+    logging.getLogger("j2a.bridge").setLevel(logging.INFO)
 
 
 async def run_bridge(

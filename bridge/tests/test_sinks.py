@@ -328,6 +328,7 @@ def test_the_command_ends_properly_by_a_signal(tmp_path, number):
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 128 + number
     assert "Traceback" not in err
+    assert re.match(r"j2a: \S+ is here: (\w+, )*quad\b", err)
     recording = Recording(path)
     assert len(list(recording)) > 0
     assert recording.is_whole
