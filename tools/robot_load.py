@@ -6,7 +6,7 @@ once a second.
 
 What flows in: the firmware of apps/robot. What flows out: of each sensor what the table asks, what
 that takes of the wire by calculation, how often it came and what was lost; the share of the wire
-and that of the processor, as measured; and what channels in place of arrays would ask. Exit status
+and that of the processor, as measured; and what channels in place of arrays would take. Exit status
 1 where a value was lost.
 Rule: time is simulated, so the figures are the same each time, within a percent.
 """
@@ -264,7 +264,7 @@ def _show(load: Load) -> None:
     channels = asked(AS_ARRAYS)
     asks = sum(channels[name] for name in AS_ARRAYS)
     print(
-        f"\nas channels, each value with a time of its own, infrared and ultrasonic would ask "
+        f"\nas channels, each value with a time of its own, infrared and ultrasonic would take "
         f"{100 * share(asks):.1f} %\nof the wire, and all together "
         f"{100 * share(sum(channels.values())):.1f} %: with the others at their top rates, these "
         f"two\nfit at {100 * fit():.0f} % of theirs at most, {50 * fit():.1f} and "

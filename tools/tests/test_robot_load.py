@@ -109,7 +109,7 @@ def test_the_figures_on_the_page(robot_load, load):
     bits = sum(row.bandwidth for row in robot_load.TABLE.values())
     assert f"| all | | {bits:g} | | {total:g} | {100 * robot_load.share(total):.1f} % |" in page
     two = sum(channels[name] for name in robot_load.AS_ARRAYS)
-    assert f"ask {100 * robot_load.share(two):.1f} % of the wire" in page
+    assert f"take {100 * robot_load.share(two):.1f} % of the wire" in page
     assert f"all together {100 * robot_load.share(sum(channels.values())):.1f} %" in page
     assert f"fit at {100 * robot_load.fit():.0f} % of theirs" in page
     assert f"{int(50 * robot_load.fit())} and {int(25 * robot_load.fit())} times" in page
