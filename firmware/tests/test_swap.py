@@ -142,6 +142,37 @@ def test_the_swap_on_the_page(swap, monkeypatch, capsys):
 
 
 @pytest.mark.avr
+def test_the_driver_on_the_page(make, need, tmp_path):
+    """With the main program and the app.mk on the page of drivers."""
+    need("avr-gcc")
+    page = (FIRMWARE.parent / "docs/drivers.md").read_text("utf-8")
+    section = page[page.index("## Use them in your application") : page.index("## Tests of your")]
+    program, driver, line = re.findall(r"```c\n(.*?)```", section, re.S)
+    (tmp_path / "drivers").mkdir()
+    (tmp_path / "app.c").write_text(program)
+    (tmp_path / "app.mk").write_text(re.search(r"```make\n(.*?)```", section, re.S)[1])
+    (tmp_path / "drivers/bumper.c").write_text(driver)
+    (tmp_path / "transds.def").write_text(line)
+    for name in ("functions", "properties"):
+        (tmp_path / f"{name}.def").touch()
+
+    def build(**more):
+        return make(PORT="avr-serial", APP="cart", APP_DIR=tmp_path, OUT=tmp_path / "out", **more)
+
+    result = build(core_as_one=True)
+    assert result.returncode == 0, result.stderr
+    with AvrSim(str(tmp_path / "out/cart.elf")) as sim, j2a.Client(SimLink(sim)) as board:
+        sensor = board.transducers["bumper"]
+        for level in (0, 1):
+            sim.pins.drive("PD7", level)
+            assert sensor.wait(1).values == (not level,)
+    (tmp_path / "transds.def").write_text(line.replace("bool", "float"))
+    result = build(core_as_one=True)
+    assert result.returncode != 0
+    assert re.search(r"conflicting types for .bumper_set_cb", result.stderr)
+
+
+@pytest.mark.avr
 def test_ultrasonic_by_analog_inputs_in_the_listing(swap):
     volts = "SENSOR(volts, 2, adc, AVCC/1024, 4, uint16_t, 65535, (unit, mV), (scale, 4.8828125))"
     result, program = swap("listing", LISTED, volts)
