@@ -85,6 +85,8 @@ _QUICK_S = 100e-6
 _MOST_WAITING = 1 << 18
 _LATE_S = 1.0
 """So long may the end of `--duration` be printed that waits then."""
+_HINT_S = 3.0
+_HINT = "j2a: nothing came yet; a sensor may be disabled, and a SIF may need a call first: --call"
 _Call = tuple[str | int, list[str]]
 _Shapes = dict[int, tuple[SifShape, Codec]]  # by opcode
 
@@ -166,6 +168,33 @@ class _Limit:
     @property
     def is_late(self) -> bool:
         return time.monotonic() > self._stop_at
+
+
+class _Silence:
+    """What is done while nothing comes.
+
+    Args:
+        client: of the board.
+    """
+
+    def __init__(self, client: j2a.Client) -> None:
+        self._pulse = Pulse(client)
+        self._now = client.now
+        self._hint_at = client.now() + _HINT_S
+
+    def check(self, seen: int) -> None:
+        """Look whether the board answers, and tell once why nothing may have come.
+
+        Args:
+            seen: SIFs that came.
+
+        Raises:
+            J2AError: the board hangs, or the link is lost.
+        """
+        self._pulse.check()
+        if not seen and self._now() >= self._hint_at:
+            note(_HINT)
+            self._hint_at = math.inf
 
 
 class _RateTable:
@@ -291,7 +320,7 @@ def _watch(
     limit = _Limit(client, args.duration)
     seen = 0
     table = _RateTable(rates, client, args) if args.rates else None
-    pulse = Pulse(client)
+    silence = _Silence(client)
     unseen = 0
     while args.count is None or seen < args.count:
         left_s = limit.left_s()
@@ -302,7 +331,7 @@ def _watch(
         except queue.Empty:
             if left_s <= 0:
                 break
-            pulse.check()
+            silence.check(seen)
             continue
         if one.came_at > limit.end:  # simulated time may run faster than that of this machine
             break

@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from j2a.cli import _watch
 from j2a.virtual import VirtualBoard
 
 from .conftest import served
@@ -119,7 +120,8 @@ def test_a_board_whose_sensors_are_quiet_does_not_hang(run, tmp_path, words):
         link.close()
     finally:
         next(serving, None)
-    assert (result.code, result.err) == (0, "")
+    told = f"{_watch._HINT}\n" if words[0] == "watch" else ""
+    assert (result.code, result.err) == (0, told)
     assert "away" not in result.out
 
 

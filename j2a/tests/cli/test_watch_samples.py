@@ -110,6 +110,15 @@ def test_a_reader_that_is_too_slow_bounds_what_waits(run, board, monkeypatch):
     assert re.search(r"[1-9][0-9]* SIFs were left out", result.err)
 
 
+def test_what_may_be_why_nothing_comes_is_told_once(run, demo, board, monkeypatch):
+    monkeypatch.setattr(_watch, "_HINT_S", 0.1)
+    result = run("watch", demo, "counter", "--duration", "1")
+    assert (result.code, result.out) == (0, "")
+    assert result.err.startswith("j2a: nothing came yet; ")
+    assert result.err.count("\n") == 1
+    assert run("watch", board, "quad", "--duration", "0.5").err == ""
+
+
 def test_samples_as_json(run, board):
     result = run("watch", board, "log", "--count", "2", "--json")
     for line in result.out.splitlines():
