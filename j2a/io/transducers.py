@@ -345,7 +345,7 @@ class RemoteSensor(RemoteTransducer):
 
     def _late(self, timeout: float, error: CallTimeout) -> CallTimeout:
         """Return the error of a sample that did not come, which names what may be the cause."""
-        why = "it may be disabled"
+        why = "it may be disabled, or have no new value"
         if self.descriptor.has("trigger"):
             why += ", or wait for its trigger"
         return CallTimeout(

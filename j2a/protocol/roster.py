@@ -120,7 +120,9 @@ class Roster(Generic[_MemberT]):
         if member is not None and member.client is not None:
             return member
         here = ", ".join(sorted(self.here)) or "none"
-        raise UnknownBoard(f"board {board!r:.80} is not here, but {here}; `problems` may say why")
+        raise UnknownBoard(
+            f"board {board!r:.80} is not here (here: {here}); `problems` may say why"
+        )
 
     def is_new_twin(self, member: _MemberT, board: str) -> bool:
         """Note a board that says the same of itself as one that is here; whether that is new.
@@ -218,7 +220,10 @@ class Roster(Generic[_MemberT]):
 
     def late(self, missing: str, timeout: float) -> CallTimeout:
         """Return the error of a wait whose time, in seconds, is over."""
-        why = "".join(f"; {url}: {error}" for url, error in self.problems.items())
+        why = "".join(
+            f"; {url}: {str(error).removeprefix(f'{url}: ')}"
+            for url, error in self.problems.items()
+        )
         return CallTimeout(f"{missing} within {timeout:g} s{why}", outcome=Outcome.NOT_SENT)
 
 

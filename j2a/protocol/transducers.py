@@ -376,9 +376,7 @@ class SensorState(_Transducer):
         if value is not None:
             return self.codec.pack(value)
         if self.transducer.na is None:
-            raise LocalError(
-                f"{self.transducer.name} has no value for N/A: each of its values is one"
-            )
+            raise LocalError(f"{self.transducer.name} has no N/A value: give it a number")
         return self.codec.pack_raw(self.transducer.na)
 
     def take(self, channel: int, data: bytes, now_us: int) -> None:

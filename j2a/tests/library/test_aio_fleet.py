@@ -257,7 +257,7 @@ class TestBoards:
                 client = fleet["A3"]
                 change = changes_of(fleet)
                 fleet.remove("A3")
-                with pytest.raises(j2a.UnknownBoard, match="'A3' is not here, but none"):
+                with pytest.raises(j2a.UnknownBoard, match=r"'A3' is not here \(here: none\)"):
                     fleet["A3"]
                 assert await change() == j2a.BoardChange("A3", url, is_here=False)
                 assert not client.is_open

@@ -395,7 +395,7 @@ class TestBoards:
             client = fleet["A3"]
             changes = changes_of(fleet)
             fleet.remove("A3")
-            with pytest.raises(j2a.UnknownBoard, match="'A3' is not here, but none"):
+            with pytest.raises(j2a.UnknownBoard, match=r"'A3' is not here \(here: none\)"):
                 fleet["A3"]
             change = changes.get(timeout=PATIENCE_S)
             assert change == j2a.BoardChange("A3", url, is_here=False)

@@ -151,8 +151,10 @@ class TestSettings:
     def test_a_sample_that_does_not_come(self, board):
         with pytest.raises(j2a.CallTimeout) as caught:
             board.transducers["quad"].wait(0.01)
-        assert str(caught.value) == "no sample of quad came within 0.01 s: it may be disabled"
-        with pytest.raises(j2a.CallTimeout, match="it may be disabled, or wait for its trigger"):
+        assert str(caught.value) == (
+            "no sample of quad came within 0.01 s: it may be disabled, or have no new value"
+        )
+        with pytest.raises(j2a.CallTimeout, match="no new value, or wait for its trigger"):
             board.transducers["imu"].wait(0.01)
 
     def test_a_list_of_values_is_no_value(self, board):
