@@ -15,7 +15,7 @@ from j2a_conformance.host._dimensions import frame, resembling
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Outcome, Request, Sifs, spell
 
-from .seq import BARRIER_AGAIN_MS, _Stalled, barrier
+from .seq import BARRIER_AGAIN_MS, barrier
 from .sif import handed
 from .timing import ends_within
 from .types import described
@@ -206,35 +206,6 @@ class Map(_BootCase):
             host.outcome("values 42")
 
 
-class Stalled(_Stalled):
-    """Leaves 256 calls and the barrier without an answer, restarts as firmware with other opcodes,
-    and waits until another barrier might come; sends replies to the last calls, which lay in the
-    link at the reset, and answers the barrier.
-    """
-
-    ID = "host.boot.stalled"
-    EXPECTATION = "Nothing but a barrier is sent; then calls by name go to the new opcodes."
-    REQUIREMENTS = ("J2A-BOOT-005", "J2A-BOOT-004", "J2A-SEQ-006", "J2A-SEQ-009")
-    LEVEL = "boot"
-    DEVICE = BOOTING
-
-    def _run(self, host: Host) -> None:
-        host.do("restarts", "restarts")
-        given_up, _ = self.stall(host)
-        boot(host, _LEAN)
-        newest = given_up[-1]
-        found = barrier(host, newest, BARRIER_AGAIN_MS / min(host.link.scale, 1.0))
-        for late in given_up[-10:]:
-            host.reply(late, c.RET_OK, b"sifs all 0 0")  # a host that takes it for a job reports
-        if found is not None:
-            host.reply(found, *host.device.answer(0, b""))
-        self.ended(host)
-        for name, code in ((c.GET_ECHO, c.ECHO), (PING, c.RET_OK)):
-            host.job(f"call {name} aa {host.limit_ms}")
-            host.reply(host.request(_LEAN.opcode(name), b"\xaa"), code, b"\xaa")
-            host.replied_with(code, b"\xaa")
-
-
 class Transfers(_BootCase):
     """Restarts between the reply to a chunk and the next request of reads and writes, as firmware
     with the functions at other opcodes; leaves what still comes by an old opcode without a reply.
@@ -396,54 +367,57 @@ class Room(_BootCase):
 
 
 class NoSeq(_BootCase):
-    """Restarts and leaves 256 calls without an answer; then restarts while no seq is free. Answers
-    nothing until the host has come to rest, and then the last call, or the barrier.
+    """Leaves 256 calls without an answer while the host knows nothing since a restart, and then
+    twice before a restart, as the same firmware and with other opcodes, after which it waits until
+    another barrier might come. Sends replies to the last calls, which lay in the link at the reset,
+    and answers the barrier.
     """
 
     ID = "host.boot.no-seq"
     EXPECTATION = (
         "A restart ends no request that is on its way: while 256 are, nothing but a barrier is "
-        "sent. Calls go on as soon as a reply comes."
+        "sent. Calls go on as soon as a reply comes, those by name to the new opcodes."
     )
-    REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-009", "J2A-BOOT-004")
+    REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-009", "J2A-BOOT-004", "J2A-BOOT-005")
 
     def _judge(self, host: Host) -> None:
         _rest(host)
         host.device = BOOTING
-        self._answer(host, *self._stall(host))
-        last, found = self._stall(host)
-        boot(host)
-        for request in host.requests(1, _STALLED_MS):
-            if not request.is_barrier:
-                fail(f"opcode {request.opcode} came behind a restart while no seq was free")
-            found = request
-        self._answer(host, last, found)
+        self._go_on(host, *self._stall(host))
+        for device in (BOOTING, _LEAN):
+            sent, found = self._stall(host)
+            boot(host, device)
+            again_ms = BARRIER_AGAIN_MS / min(host.link.scale, 1.0)
+            self._go_on(host, sent, barrier(host, sent[-1], again_ms) or found)
 
     @staticmethod
-    def _stall(host: Host) -> tuple[Request, Request | None]:
-        """Leave 256 calls without an answer; return the last, and a barrier if one comes."""
-        found: Request | None = None
+    def _stall(host: Host) -> tuple[list[Request], Request | None]:
+        """Leave calls without an answer until no more come; return them, and a barrier."""
         host.job(f"repeat 300 call @6 73 {max(host.silence_ms // 60, 1)}")
         host.answers = 0
-        last = host.request(6, b"s")
+        sent = [host.request(6, b"s")]
         while some := host.requests(1, _STALLED_MS):
             if some[0].is_barrier:
-                found = some[0]
-            else:
-                last = some[0]
-        return last, found
+                return sent, some[0]
+            sent += some
+        return sent, None
 
     @staticmethod
-    def _answer(host: Host, last: Request, found: Request | None) -> None:
-        """Answer the barrier or else the last call; judge that calls go on."""
+    def _go_on(host: Host, sent: list[Request], found: Request | None) -> None:
+        """Answer the last calls and the barrier; judge that calls go on."""
         host.answers = math.inf
-        host.reply(found or last, c.RET_OK, b"late")
+        for late in sent[-10:]:
+            host.reply(late, c.RET_OK, b"sifs all 0 0")  # a host that takes it for a job reports
+        if found is not None:
+            host.reply(found, *host.device.answer(0, b""))
         while (request := host.request_or_end()) is not None:
             if (request.opcode, request.payload) != (6, b"s"):
                 fail(f"opcode {request.opcode} came, which no job asked for")
         host.outcome("stalled", "timeout", "restarted")
-        host.reply(host.asked(b"next"), c.RET_OK, b"right")
-        host.replied_with(c.RET_OK, b"right")
+        for name, code in ((c.GET_ECHO, c.ECHO), (PING, c.RET_OK)):
+            host.job(f"call {name} aa {host.limit_ms}")
+            host.reply(host.request(host.device.opcode(name), b"\xaa"), code, b"\xaa")
+            host.replied_with(code, b"\xaa")
 
 
 class Silent(_BootCase):
