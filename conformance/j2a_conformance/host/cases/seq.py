@@ -241,8 +241,8 @@ class StalledTogether(_Stalled):
 
     ID = "host.seq.stalled-together"
     EXPECTATION = (
-        "While the call waits, nothing is sent but a barrier, and this only if j2a.rxbuf has room "
-        "for both."
+        "While the call waits, those of the other thread fail, and nothing is sent but a barrier, "
+        "this only if j2a.rxbuf has room for both."
     )
     REQUIREMENTS = ("J2A-LIMIT-003", "J2A-SEQ-006", "J2A-SEQ-009")
 
@@ -250,29 +250,37 @@ class StalledTogether(_Stalled):
         for rxbuf in ("", "10", "17", "24"):
             known = ((c.PROP_RXBUF, rxbuf),) if rxbuf else ()
             host.become(replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), *known)))
-            calls = f"repeat {_SEQS} call @6 8*73 {host.limit_ms}"
-            host.job(f"together {calls} ; {calls}")
-            before = last = host.request(6, b"s" * 8)
+            calls = [f"repeat {_SEQS} call @6 8*{one} {host.limit_ms}" for one in ("73", "74")]
+            host.job(" ; ".join([f"together {calls[0]}", calls[1]]))
+            sent = [host.request(6)]
             for _ in range(_SEQS - 1):
                 # Not by `host.reply`: it leaves all of these requests outstanding.
-                host.send(last.reply(c.ERR_CHECKSUM, b"\x04\x00"))
+                host.send(sent[-1].reply(c.ERR_CHECKSUM, b"\x04\x00"))
                 if not host.has_sent(host.limit_ms / 3e3):
-                    self._end(host, last)
+                    self._end(host, sent)
                     inform("the host does not take an error reply for the end of a call")
-                before, last = last, host.request(6, b"s" * 8)
-            found = barrier(host, before, _BARRIER_MS)
+                sent.append(host.request(6))
+            last = sent[-1]
+            found = barrier(host, sent[-2], _BARRIER_MS)
             if found is not None:
                 if last.size + found.size > host.device.rxbuf:
                     fail("a barrier came while a call waited, for which j2a.rxbuf has no room "
                          "(J2A-LIMIT-003)")  # fmt: skip
                 host.reply(found, 1, b"late")
-            self._end(host, last)
+            began = {one.payload for one in sent}
+            self._end(host, sent)
+            others = [one.payload for one in sent if one.payload != last.payload]
+            if len(began) == 2 and len(others) == _SEQS:
+                fail("no call failed while another one waited and no seq was free", suspect=True)
 
     @staticmethod
-    def _end(host: Host, request: Request | None) -> None:
+    def _end(host: Host, sent: list[Request]) -> None:
+        """Answer the last request, and all that come then, which are added to those before."""
+        request: Request | None = sent[-1]
         while request is not None:
             host.reply(request, 1, b"end")
-            request = host.request_or_end()
+            if (request := host.request_or_end()) is not None:
+                sent.append(request)
         host.outcome()
 
 
