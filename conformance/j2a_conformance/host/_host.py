@@ -10,7 +10,7 @@ oracle, whichever case runs.
 import math
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Final, NoReturn
 
@@ -59,6 +59,7 @@ class Host:
         silence_ms: a time limit for calls that are not.
         slow_s: how long the device takes to answer requests about itself.
         answers: how many of these it still answers.
+        behind: returns what comes in one piece with the last of these answers.
     """
 
     def __init__(self, place: Listening, device: Device, scale: float = 1.0) -> None:
@@ -72,6 +73,7 @@ class Host:
         self._sif_seq = 0
         self.slow_s = 0.0
         self.answers = math.inf
+        self.behind: Callable[[], bytes] = bytes
         self._told = 0
         self._verb = ""
         self._held: list[Arrival] = []
@@ -115,6 +117,7 @@ class Host:
         """
         self.close()
         self.device = self._first_device
+        self.slow_s, self.answers, self.behind = 0.0, math.inf, bytes
         if self._place.has_runner:
             self.link.replace(self._place.first())
         else:
@@ -391,7 +394,9 @@ class Host:
         self.answers -= 1
         if self.slow_s:
             self.link.wait_until(self.link.now_s() + self.slow_s)
-        self.reply(request, *self.device.answer(request.opcode, request.payload))
+        code, payload = self.device.answer(request.opcode, request.payload)
+        self.send(request.reply(code, payload) + (b"" if self.answers else self.behind()))
+        self.replied(request, code)
 
     def _next_arrival(self, timeout_s: float) -> Arrival | None:
         if self._held:

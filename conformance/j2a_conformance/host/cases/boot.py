@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 from j2a_spec import constants as c
@@ -22,6 +23,7 @@ from .types import described
 
 _ADD = "add(a i32, b i32) i32\n"
 _RXBUF = 4096
+_MOST_ANSWERS = 12
 _REST_MS = 30.0
 _STALLED_MS = 200.0
 _ONE_MORE_MS = 60.0
@@ -57,19 +59,22 @@ def _payload(device: Device, cause: int = c.BOOT_WATCHDOG, count: int = 2) -> by
     return payload
 
 
-def boot(host: Host, device: Device | None = None, payload: bytes | None = None) -> None:
-    """Be reset, with other firmware perhaps, and say so; a job must be under way."""
+def _boot_sif(host: Host, device: Device | None = None, payload: bytes | None = None) -> bytes:
+    """Be reset, with other firmware perhaps; return the boot SIF, which must be sent."""
     host.device = device or host.device
     host.reset_sifs()
-    host.send(host.sif(c.BOOT, _payload(host.device) if payload is None else payload))
+    return host.sif(c.BOOT, _payload(host.device) if payload is None else payload)
+
+
+def boot(host: Host, device: Device | None = None, payload: bytes | None = None) -> None:
+    """Be reset, with other firmware perhaps, and say so; a job must be under way."""
+    host.send(_boot_sif(host, device, payload))
 
 
 def restart(host: Host, device: Device, sifs: Sifs) -> None:
     """Restart as another device while a call waits, and send SIFs directly behind the boot SIF."""
     host.asked(b"waits")
-    host.device = device
-    host.reset_sifs()
-    boot_sif = host.sif(c.BOOT, _payload(device))
+    boot_sif = _boot_sif(host, device)
     host.send(boot_sif + b"".join(host.sif(*sif) for sif in sifs))
     _restarted(host.outcome("restarted"))
 
@@ -206,6 +211,39 @@ class Map(_BootCase):
             host.outcome("values 42")
 
 
+class Learning(_BootCase):
+    """Restarts, and again as firmware with other opcodes in one piece with the first, second, …
+    answer by which the host learns anew for a call by name.
+    """
+
+    ID = "host.boot.learning"
+    EXPECTATION = "The call ends unsent; the next one goes to the opcode of now."
+    REQUIREMENTS = ("J2A-BOOT-005", "J2A-BOOT-004")
+
+    def _judge(self, host: Host) -> None:
+        for count in range(1, _MOST_ANSWERS):
+            _rest(host)
+            host.device, host.answers = BOOTING, count
+            host.behind = partial(self._again, host, booting(before=count % 3 + 1))
+            host.job(f"call {PING} aa {host.limit_ms}")
+            if (request := host.request_or_end()) is not None:
+                if host.answers == math.inf:
+                    fail("a call was sent behind a restart that came before it")
+                host.answers, host.behind = math.inf, bytes
+                host.reply(request)
+                host.outcome("reply 0 -")
+                return
+            _restarted(host.outcome("restarted"), was_sent=False)
+            host.job(f"call {PING} bb {host.limit_ms}")
+            host.reply(host.request(host.device.opcode(PING), b"\xbb"), c.RET_OK, b"\xbb")
+            host.replied_with(c.RET_OK, b"\xbb")
+
+    @staticmethod
+    def _again(host: Host, device: Device) -> bytes:
+        host.answers, host.behind = math.inf, bytes
+        return _boot_sif(host, device)
+
+
 class Transfers(_BootCase):
     """Restarts between the reply to a chunk and the next request of reads and writes, as firmware
     with the functions at other opcodes; leaves what still comes by an old opcode without a reply.
@@ -225,10 +263,7 @@ class Transfers(_BootCase):
                 host.job(f"{job} {host.limit_ms}")
                 for _ in range(number):
                     self._chunk(host, name)
-                host.device = new
-                host.reset_sifs()
-                boot_sif = host.sif(c.BOOT, _payload(new))
-                self._chunk(host, name, old, boot_sif)
+                self._chunk(host, name, old, _boot_sif(host, new))
                 self._ended(host, name)
 
     @staticmethod
