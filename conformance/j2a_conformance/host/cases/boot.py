@@ -87,20 +87,20 @@ def _restarted(outcome: Outcome, was_sent: bool = True) -> None:
              f"sent before the restart; expected `{due}`")  # fmt: skip
 
 
-def _end_a_call(host: Host, device: Device | None = None) -> Request:
+def _end_a_call(host: Host, device: Device | None = None, payload: bytes | None = None) -> Request:
     """Restart while a call waits; return its request."""
     request = host.asked(b"waits")
-    boot(host, device)
+    boot(host, device, payload)
     _restarted(host.outcome("restarted"))
     return request
 
 
-def _rest(host: Host) -> None:
-    """Restart, and refuse what the host asks by itself.
+def _rest(host: Host, payload: bytes | None = None) -> None:
+    """Restart, by a boot SIF with this payload, and refuse what the host asks by itself.
 
     That has a time limit of its own, for which a job and its report may have to wait.
     """
-    _end_a_call(host, replace(BOOTING, mapping=(c.ERR_CHECKSUM, b"\x04\x00")))
+    _end_a_call(host, replace(BOOTING, mapping=(c.ERR_CHECKSUM, b"\x04\x00")), payload)
     host.requests(1, _REST_MS)
     # What waited for its turn behind the call for this job comes before the call of the job.
     host.reply(host.asked(b"rest"), c.RET_OK, b"rest")
@@ -370,11 +370,15 @@ class Count(_BootCase):
 
 
 class Room(_BootCase):
-    """Comes back with a smaller room and without j2a.rxbuf, and with a larger room."""
+    """Comes back with a smaller room and without j2a.rxbuf, and with a larger room; and with boot
+    SIFs of several lengths behind which the host cannot learn anything.
+    """
 
     ID = "host.boot.room"
-    EXPECTATION = "The host keeps to what the properties say now."
-    REQUIREMENTS = ("J2A-BOOT-005", "J2A-LIMIT-003", "J2A-LIMIT-007")
+    EXPECTATION = (
+        "The host keeps to what the properties say now, and calls one by one without them."
+    )
+    REQUIREMENTS = ("J2A-BOOT-005", "J2A-BOOT-007", "J2A-LIMIT-003", "J2A-LIMIT-007")
     DEVICE = booting(rxbuf=str(_RXBUF))
 
     def _judge(self, host: Host) -> None:
@@ -387,18 +391,29 @@ class Room(_BootCase):
             host.job(f"call @{opcode} {room}*55 {host.limit_ms}")
             host.reply(host.request(opcode, b"\x55" * room))
             host.outcome("reply 0 -")
-            call = f"call @{opcode} aa {host.limit_ms}"
-            host.job(" ; ".join([f"together {call}", call, call]))
-            for left in range(3, 0, -1):
-                came = host.waiting(2, _ONE_MORE_MS)
-                if len(came) > 1:
-                    fail(f"{len(came)} of {left} requests came at once without j2a.rxbuf")
-                host.reply(came[0], c.RET_OK, b"")
-            host.outcome("reply 0 - ; reply 0 - ; reply 0 -")
+            self._one_by_one(host)
             _end_a_call(host, BOOTING)
             host.job(f"call @{host.device.opcode(PING)} 255*55 {host.limit_ms}")
             host.reply(host.request(host.device.opcode(PING), b"\x55" * 255))
             host.outcome("reply 0 -")
+        for payload in (b"", bytes(c.BOOT_BYTES - 1), _payload(BOOTING), bytes(c.MAX_PAYLOAD)):
+            _end_a_call(host, self.DEVICE)
+            host.do(f"call {PING} - {host.limit_ms}", "reply 0 -")  # it knows j2a.rxbuf then
+            _rest(host, payload)
+            host.device = BOOTING  # it may ask now
+            self._one_by_one(host)
+
+    @staticmethod
+    def _one_by_one(host: Host) -> None:
+        """Judge that of three calls each waits for the reply to the one before."""
+        call = f"call @{host.device.opcode(PING)} aa {host.limit_ms}"
+        host.job(" ; ".join([f"together {call}", call, call]))
+        for left in range(3, 0, -1):
+            came = host.waiting(2, _ONE_MORE_MS)
+            if len(came) > 1:
+                fail(f"{len(came)} of {left} requests came at once without j2a.rxbuf")
+            host.reply(came[0], c.RET_OK, b"")
+        host.outcome("reply 0 - ; reply 0 - ; reply 0 -")
 
 
 class NoSeq(_BootCase):
