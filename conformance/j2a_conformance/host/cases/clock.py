@@ -29,6 +29,7 @@ from j2a_conformance.host._outcomes import Outcome, Request
 _S: Final = 1_000_000
 _ROUNDS: Final = 12
 _MOST: Final = 500  # requests in a job
+_EXCHANGED_BYTES: Final = CLOCK_EXCHANGED.sizeof()
 _WRONG_US: Final = (0, 100_000, 1_500_000, 2_500_000, 10 * _S)  # with room for what a link adds
 _ANEW_US: Final = (0, 1_500_000, 2_500_000, -10 * _S, 0)  # 0: nothing has set it since the reset
 BOARD: Final = replace(
@@ -247,14 +248,15 @@ class Nonces(_ClockCase):
         device = _Scripted(host)
         wrong = [
             *(_Spoilt(flip=bit) for bit in range(32)),
-            *(_Spoilt(size=size) for size in (0, 4, 12, 13)),
+            *(_Spoilt(size=size) for size in range(_EXCHANGED_BYTES)),
             *(_Spoilt(code=code) for code in (1, 3)),
             *(_Spoilt(code=code, size=0) for code in (2, 0xFF)),
         ]
         for spoilt in wrong:
             device.spoil = spoilt
             self._exchange(device, "failed", "error", "refused")
-        for more in (b"", b"\x05\x00\x10\x00", bytes(40)):
+        most = c.MAX_PAYLOAD - _EXCHANGED_BYTES
+        for more in (bytes(most), *(b"\x05\x00\x10\x00\xff\xff"[:count] for count in range(7))):
             device.spoil = _Spoilt(more=more)
             self._exchange(device, "exchanged")
         for _ in range(20):
