@@ -30,9 +30,11 @@ _ONE_MORE_MS = 60.0
 _ALL_MS = 500.0  # where a stall must not look like a host that makes one call at a time
 
 
-def booting(functions: str = _ADD, before: int = 0, **changes: str) -> Device:
+def booting(
+    functions: str = _ADD, before: int = 0, definitions: str = "", **changes: str
+) -> Device:
     """Return a device with the capability, with so many functions more before those of `DEMO`."""
-    device = described(functions, before=before)
+    device = described(functions, definitions, before)
     properties = dict(device.properties or ()) | {c.PROP_CAPS: f"{c.CAP_INTERFACE} {c.CAP_BOOT}"}
     for key, value in changes.items():
         properties[f"j2a.{key}"] = value
@@ -339,6 +341,49 @@ class Signature(_BootCase):
             request = host.request(host.device.opcode("add"), numbers)
             host.reply(request, c.RET_OK, (3).to_bytes(4, "little"))
             host.outcome("values 3")
+
+
+_MOVE: Final = "move(to point, how mode)\n"
+_TYPES: Final = """\
+enum mode u8 (off=0, on=1)
+struct angle (deg i32)
+struct point (a angle, y i32)
+"""
+_OTHER_TYPES: Final = (
+    _TYPES.replace("mode u8", "mode u16"),
+    _TYPES.replace("deg i32", "deg i16"),
+    _TYPES.replace("y i32", "y f32"),
+    _TYPES.replace("y i32", "y i32, z i32"),
+    _TYPES.replace("a angle", "a angle[2]"),
+    _TYPES.replace("(a angle, y i32)", "(y i32)"),
+    "struct mode (on bool[3])\nenum point i8 (here=1)\n",
+    "",
+)
+
+
+class Definitions(_BootCase):
+    """Comes back with a function of the same signature whose structure or enumeration is another
+    one, and then with the right one at another opcode.
+    """
+
+    ID = "host.boot.definitions"
+    EXPECTATION = "No call carries the values as they were before; the host may refuse it."
+    REQUIREMENTS = ("J2A-BOOT-006", "J2A-BOOT-005")
+    DEVICE = booting(_MOVE, definitions=_TYPES)
+
+    def _judge(self, host: Host) -> None:
+        host.do("hold move", "held")
+        job = f"held [[[2],1],1] {host.limit_ms}"
+        old = (2).to_bytes(4, "little") + (1).to_bytes(4, "little") + b"\1"
+        for number, types in enumerate(_OTHER_TYPES):
+            _end_a_call(host, booting(_MOVE, number % 3, types))
+            _, requests = host.do(job, "changed", "refused", "error")
+            if any(request.payload == old for request in requests):
+                fail(f"a call came as before, though the types are these now: {types!r}")
+            _end_a_call(host, booting(_MOVE, number % 4, _TYPES))
+            host.job(job)
+            host.reply(host.request(host.device.opcode("move"), old))
+            host.outcome("values null")
 
 
 class Count(_BootCase):
