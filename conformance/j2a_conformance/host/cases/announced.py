@@ -1,6 +1,6 @@
 """Versions and capabilities that a device announces (J2A-VER, J2A-CAP)."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from j2a_spec import constants as c
 from j2a_spec.requirements import Level
@@ -126,6 +126,43 @@ class AnotherMajor(HostCase):
             if requests:
                 fail(f"a read was begun though the host knows that the version is {version}")
             host.do(f"call {PING} 0102 {host.limit_ms}", "reply", *_REFUSED)
+
+
+@dataclass(frozen=True)
+class _Noting(Device):
+    """A device that notes requests to a2jMany about itself, as those for its properties are."""
+
+    asked: list[bytes] = field(default_factory=list)
+
+    def answer(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
+        """Return the code and the payload of the reply to a request."""
+        if opcode and self.asks_about_it(opcode, payload):
+            self.asked.append(payload)
+        return super().answer(opcode, payload)
+
+
+class MajorLate(HostCase):
+    """Has the host write 28 and 245 bytes to devices of versions 0.9 and 2.0 that refuse their
+    properties until then.
+    """
+
+    ID = "host.version.major-late"
+    EXPECTATION = "A host that reads the properties before it begins refuses the write."
+    REQUIREMENTS = ("J2A-VER-003",)
+    LEVEL = "properties"
+
+    def _run(self, host: Host) -> None:
+        for version, size in (("0.9", 28), ("2.0", 245)):
+            device = _Noting(properties=((c.PROP_SPEC, version),))
+            host.become_shy(device)
+            device.asked.clear()
+            host.job(f"write {STORE} {spelt(size)} {host.limit_ms}")
+            while (request := host.request_or_end()) is not None:
+                if device.asked:
+                    fail(f"a part of {size} bytes was written, though the host has read that the "
+                         f"version is {version}")  # fmt: skip
+                host.reply(request, *device.answer(request.opcode, request.payload))
+            host.outcome("written", *_REFUSED)
 
 
 class MajorLimits(HostCase):
