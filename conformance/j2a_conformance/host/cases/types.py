@@ -1,6 +1,7 @@
 """Signatures, as a host uses them (J2A-TYPE, J2A-IFACE)."""
 
 import json
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -307,32 +308,48 @@ class Failures(HostCase):
                     host.outcome("error", "failed")
 
 
+_RESULTS: tuple[tuple[str, Collection[int]], ...] = (
+    # result of a signature, lengths of the payloads that fit
+    ("", {0}),
+    ("i32", {4}),
+    ("(a u8, b u64, c mode)", {11}),
+    ("point[2]", {12}),
+    ("text[8]", range(9)),
+    ("(p point, m mode[2], t text)", range(10, 256)),
+    ("(a u8, t text[4])", range(1, 6)),
+    ("bytes[4]", range(5)),
+    ("(a u16, b bytes[200])", range(2, 203)),
+    ("u16[]", range(0, 256, 2)),
+    ("(a u8, w f64[])", range(1, 256, 8)),
+    ("(a bool[2], p point[])", range(2, 256, 6)),
+)
+_NO_TEXTS = (b"\xff", b"a\xc3", b"\xed\xa0\x80")
+
+
 class BadReplies(HostCase):
-    """Returns 0x00 and payloads that are not what the signature says."""
+    """Returns 0x00 and payloads of every length that is not what the signature says, with results
+    of every kind, and texts that are not UTF-8.
+    """
 
     ID = "host.types.bad-replies"
     EXPECTATION = "The host reports an error of the device, and no result."
     REQUIREMENTS = ("J2A-TYPE-007",)
     LEVEL = "interface"
-    DEVICE = TYPED
+    DEVICE = described(
+        "".join(f"r{n}(){result and ' '}{result}\n" for n, (result, _) in enumerate(_RESULTS)),
+        _DEFINITIONS,
+    )
 
     def _run(self, host: Host) -> None:
-        asked: dict[str, list[Any]] = {
-            "add": [1, 2],
-            "shapes": [0, [[0, 0], [0, 0]], ""],
-            "words": [[]],
-            "none": [],
-        }
-        fit = {"add": {4}, "shapes": range(10, 256), "words": range(0, 256, 2), "none": {0}}
-        for name, arguments in asked.items():
-            payloads = [bytes(length) for length in range(256) if length not in fit[name]]
-            if name == "shapes":
-                payloads += [bytes(10) + bad for bad in (b"\xff", b"a\xc3", b"\xed\xa0\x80")]
+        for number, (result, fit) in enumerate(_RESULTS):
+            payloads = [bytes(length) for length in range(256) if length not in fit]
+            if "text" in result:
+                payloads += [bytes(min(fit)) + bad for bad in _NO_TEXTS]
             for payload in payloads:
-                host.job(f"typed {name} {spell(arguments)} {host.limit_ms}")
-                host.reply(host.request(host.device.opcode(name)), c.RET_OK, payload)
+                host.job(f"typed r{number} [] {host.limit_ms}")
+                host.reply(host.request(host.device.opcode(f"r{number}")), c.RET_OK, payload)
                 host.outcome("failed")
-        typed(host, "add", [1, 2], [3])
+        typed(host, "r1", [], [3])
 
 
 def _not_used(host: Host, device: Device) -> None:
