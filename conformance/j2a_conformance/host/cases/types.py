@@ -415,6 +415,35 @@ class Broken(HostCase):
             _raw_calls_work(host)
 
 
+class OtherNames(HostCase):
+    """Is devices whose mapping has other names than their interface, before and after one with the
+    same interface whose mapping has the right ones.
+    """
+
+    ID = "host.interface.other-names"
+    EXPECTATION = "No function is called by a signature, unless the names are the right ones."
+    REQUIREMENTS = ("J2A-IFACE-009",)
+    LEVEL = "interface"
+
+    def _run(self, host: Host) -> None:
+        right = described("add(a i32, b i32) i32\nlast()\n")
+        *names, add, last = right.names
+        others = (
+            (*names, last, add),
+            (*names, add, "latest"),
+            (*names, add, last, "more"),
+            (*names, "more", add, last),
+            (*names[:-1], add, last),
+            tuple(name for name in right.names if name != c.GET_DEBUG),
+        )
+        for is_known in (False, True):
+            for other in others:
+                _not_used(host, replace(right, names=other))
+            if not is_known:
+                host.become(right)
+                typed(host, "add", [1, 2], [3])
+
+
 class WrongHash(HostCase):
     """Is a device whose j2a.interface is not the CRC-32 of its interface, or no CRC-32 at all."""
 
