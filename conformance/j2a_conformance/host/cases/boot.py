@@ -1,7 +1,7 @@
 """A device that restarts while the link stays, as a host sees it (J2A-BOOT)."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Final
 
@@ -11,7 +11,7 @@ from j2a_spec.grammar import BOOT
 
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO, FETCH, OLD, PING, STORE, Device
+from j2a_conformance.host._device import DEMO, FETCH, OLD, PING, STORE, Device, chunk_reply
 from j2a_conformance.host._dimensions import frame, resembling
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Outcome, Request, Sifs, spell
@@ -121,6 +121,48 @@ class _BootCase(HostCase):
 
     def _judge(self, host: Host) -> None:
         raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class _Undescribed(Device):
+    """A device that answers in one way whatever it is asked about its interface.
+
+    Attributes:
+        reply: code and payload of it.
+    """
+
+    reply: tuple[int, bytes] = c.RET_FAILED, b""
+
+    def answer(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
+        """Return the code and the payload of the reply to a request."""
+        is_many = opcode == self.opcode(c.MANY)
+        if is_many and payload[:1] == bytes((self.opcode(c.GET_INTERFACE),)):
+            return self.reply
+        return super().answer(opcode, payload)
+
+
+class Undescribed(_BootCase):
+    """Announces boot, and refuses to tell its interface: by each error reply, by a function that
+    fails, and by what is none. Restarts while a call waits.
+    """
+
+    ID = "host.boot.undescribed"
+    EXPECTATION = "The call ends at once: the capability was announced all the same."
+    REQUIREMENTS = ("J2A-BOOT-004",)
+
+    def _judge(self, host: Host) -> None:
+        replies = [(code, b"\x04\x00") for code in sorted(c.ERRORS)]
+        replies += [(c.RET_FAILED, b""), (c.RET_OK, b"")]
+        replies += [(c.RET_OK, chunk_reply(c.RET_FAILED, 0, 0))]
+        replies += [(c.RET_OK, chunk_reply(c.RET_OK, c.FLAG_LAST, 0, b"none\n"))]
+        for number, reply in enumerate(replies):
+            device = booting(f"add{number}()\n")  # no host knows its interface
+            known = {one.name: getattr(device, one.name) for one in fields(Device)}
+            host.become(_Undescribed(**known, reply=reply))
+            for _ in range(2):
+                _end_a_call(host)
+                host.reply(host.asked(b"next"), c.RET_OK, b"right")
+                host.replied_with(c.RET_OK, b"right")
 
 
 class Ends(_BootCase):
