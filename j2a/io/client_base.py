@@ -125,7 +125,13 @@ class ClientBase(Generic[_StreamT]):
         self._url = url
         self._timeout = check_timeout(timeout)
         self._window = window
-        self._device = DeviceInfo()
+        # A random start keeps the replies to an earlier program from answering this one.
+        self._session = Session(
+            first_seq=random.randrange(256),
+            window=window,
+            trace=trace,
+        )
+        self._device = DeviceInfo(partial(_reading_properties, self._session))
         # The epoch of the session in which it was learnt what the device has.
         self._learnt = 0
         # The epoch in which the function map was fetched, -1 before.
@@ -140,13 +146,6 @@ class ClientBase(Generic[_StreamT]):
         self._pinned: tuple[str, Mapping[str, type]] | None = None
         self._restart_handlers: Handlers[Any] = Handlers()
         self._handlers: Handlers[Any] = Handlers()
-        # A random start keeps the replies to an earlier program from answering this one.
-        self._session = Session(
-            first_seq=random.randrange(256),
-            window=window,
-            trace=trace,
-        )
-
         client = weakref.ref(self)
         self._source = SampleSource(
             url,
@@ -566,8 +565,8 @@ class ClientBase(Generic[_StreamT]):
         unanswered = (yield from _insist(device.learn_interface)) or (
             yield from _insist(device.learn_transducers)
         )
-        if device.properties is not None or unanswered is None:
-            session.has_boot = CAP_BOOT in device.announced.capabilities
+        if device.properties is None and unanswered is None:
+            session.has_boot = False  # it refuses its properties, for now
         session.has_samples = device.descriptors is not None
         if unanswered is None:
             self._described = epoch
@@ -815,6 +814,18 @@ def check_echo(reply: Reply, payload: bytes) -> bytes:
             f"a2jEcho: {len(payload)} bytes came back changed, or with code 0x{reply.code:02X}"
         )
     return reply.payload
+
+
+@contextlib.contextmanager
+def _reading_properties(session: Session, device: DeviceInfo) -> Iterator[None]:
+    """Tell the session whether boot is announced, which nobody knows before the end of this."""
+    before = session.has_boot
+    session.has_boot = before or None
+    try:
+        yield
+    finally:
+        announced = CAP_BOOT in device.announced.capabilities
+        session.has_boot = before if device.properties is None else announced
 
 
 def _now_of(client: "weakref.ref[ClientBase[Any]]") -> float:

@@ -10,6 +10,7 @@ what they lack (J2A-PROP-005).
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Final, TypeVar
 
@@ -120,6 +121,9 @@ class Names(dict[str, int]):
 class DeviceInfo:
     """The cache of what the device told about itself.
 
+    Args:
+        reading: is entered with this object while its properties are read.
+
     Attributes:
         functions: names and opcodes; None until the map was fetched, empty when there is none.
             Those of the interface, where it is used (J2A-IFACE-010).
@@ -140,7 +144,10 @@ class DeviceInfo:
         asked_for_transducers: `learn_transducers` was run, and answered.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self, reading: "Callable[[DeviceInfo], AbstractContextManager[object]]" = nullcontext
+    ) -> None:
+        self._reading = reading
         self.functions: Names | None = None
         self.properties: dict[str, str] | None = None
         self.announced = Announced({})
@@ -382,17 +389,18 @@ class DeviceInfo:
         """Read the properties unless they are known; a device without the function has none."""
         while (properties := self.properties) is None:
             map_then, opcode, content = self._map, self._properties_opcode, b""
-            if opcode is not None:
-                content = yield from read_chunks(
-                    GET_PROPERTIES,
-                    opcode,
-                    max_bytes=MAX_PROPERTIES,
-                    advice="this library takes no longer properties (J2A-LIMIT-008)",
-                    offset_check=partial(self._guard_properties, opcode),
-                )
-            found = unpack_properties(content)
-            if self._map is map_then:
-                self.announced, self.properties = Announced(found), found
+            with self._reading(self):
+                if opcode is not None:
+                    content = yield from read_chunks(
+                        GET_PROPERTIES,
+                        opcode,
+                        max_bytes=MAX_PROPERTIES,
+                        advice="this library takes no longer properties (J2A-LIMIT-008)",
+                        offset_check=partial(self._guard_properties, opcode),
+                    )
+                found = unpack_properties(content)
+                if self._map is map_then:
+                    self.announced, self.properties = Announced(found), found
         return properties
 
     @property

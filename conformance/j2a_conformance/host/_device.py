@@ -5,8 +5,9 @@ a case that needs another device states it, and the host meets that over a new l
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import cache
+from typing import Any, Self
 
 from j2a_spec import constants as c
 
@@ -18,6 +19,7 @@ __all__ = [
     "PING",
     "STORE",
     "Device",
+    "NotingDevice",
     "chunk_reply",
     "pattern",
     "properties_content",
@@ -72,6 +74,11 @@ class Device:
     content: bytes = b"content"
     chunk: int = c.MANY_DATA
     offset_mask: int = 0xFFFFFFFF
+
+    @classmethod
+    def of(cls, device: "Device", **more: Any) -> Self:
+        """Return a device of this class that has what another one has, and more."""
+        return cls(**{known.name: getattr(device, known.name) for known in fields(Device)}, **more)
 
     def opcode(self, name: str) -> int:
         """Return the opcode of a function that the device has."""
@@ -145,6 +152,19 @@ class Device:
         data = contents[name][start : start + self.chunk]
         is_last = start + len(data) >= len(contents[name])
         return c.RET_OK, chunk_reply(c.RET_OK, c.FLAG_LAST if is_last else 0, offset, data)
+
+
+@dataclass(frozen=True)
+class NotingDevice(Device):
+    """A device that notes requests to a2jMany about itself, as those for its properties are."""
+
+    asked: list[bytes] = field(default_factory=list)
+
+    def answer(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
+        """Return the code and the payload of the reply to a request."""
+        if opcode and self.asks_about_it(opcode, payload):
+            self.asked.append(payload)
+        return super().answer(opcode, payload)
 
 
 DEMO = Device()

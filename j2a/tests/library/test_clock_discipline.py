@@ -152,6 +152,20 @@ def test_a_step_while_an_adjustment_is_on_its_way_is_told_as_a_step(step_s: floa
     assert not any(one.is_step for one in host.told[-5:])
 
 
+@pytest.mark.parametrize("step_s", [-3600, 3600, 1, -1, 0.002])
+def test_a_step_that_no_reply_came_to_is_told_again(step_s: float) -> None:
+    host = Host(Board(random.Random(1)))
+    host.run(60)
+    host.set_clock(step_s * US)
+    host.discipline.add(host.board.exchange())
+    host.reference.observe(host.board.host_us, round(host.unix_us()))
+    lost = host.discipline.next_adjust(host.board.host_us)
+    assert lost is not None
+    assert lost.is_step
+    host.round()
+    assert host.told[-1].is_step
+
+
 def test_a_slew_of_500_ppm_is_followed_without_a_step() -> None:
     board = Board(random.Random(2))
     host = Host(board)

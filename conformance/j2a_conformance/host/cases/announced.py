@@ -1,13 +1,13 @@
 """Versions and capabilities that a device announces (J2A-VER, J2A-CAP)."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from j2a_spec import constants as c
 from j2a_spec.requirements import Level
 
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, Device
+from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, Device, NotingDevice
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import spell
 
@@ -128,19 +128,6 @@ class AnotherMajor(HostCase):
             host.do(f"call {PING} 0102 {host.limit_ms}", "reply", *_REFUSED)
 
 
-@dataclass(frozen=True)
-class _Noting(Device):
-    """A device that notes requests to a2jMany about itself, as those for its properties are."""
-
-    asked: list[bytes] = field(default_factory=list)
-
-    def answer(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
-        """Return the code and the payload of the reply to a request."""
-        if opcode and self.asks_about_it(opcode, payload):
-            self.asked.append(payload)
-        return super().answer(opcode, payload)
-
-
 class MajorLate(HostCase):
     """Has the host write 28 and 245 bytes to devices of versions 0.9 and 2.0 that refuse their
     properties until then.
@@ -153,7 +140,7 @@ class MajorLate(HostCase):
 
     def _run(self, host: Host) -> None:
         for version, size in (("0.9", 28), ("2.0", 245)):
-            device = _Noting(properties=((c.PROP_SPEC, version),))
+            device = NotingDevice(properties=((c.PROP_SPEC, version),))
             host.become_shy(device)
             device.asked.clear()
             host.job(f"write {STORE} {spelt(size)} {host.limit_ms}")

@@ -1,7 +1,7 @@
 """A device that restarts while the link stays, as a host sees it (J2A-BOOT)."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -11,11 +11,21 @@ from j2a_spec.grammar import BOOT
 
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO, FETCH, OLD, PING, STORE, Device, chunk_reply
+from j2a_conformance.host._device import (
+    DEMO,
+    FETCH,
+    OLD,
+    PING,
+    STORE,
+    Device,
+    NotingDevice,
+    chunk_reply,
+)
 from j2a_conformance.host._dimensions import frame, resembling
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Outcome, Request, Sifs, spell
 
+from .many import spelt
 from .seq import BARRIER_AGAIN_MS, barrier
 from .sif import handed
 from .timing import ends_within
@@ -66,6 +76,12 @@ def _boot_sif(host: Host, device: Device | None = None, payload: bytes | None = 
     host.device = device or host.device
     host.reset_sifs()
     return host.sif(c.BOOT, _payload(host.device) if payload is None else payload)
+
+
+def _again(host: Host, device: Device) -> bytes:
+    """Restart behind an answer; return the boot SIF, and answer from now on."""
+    host.answers, host.behind = math.inf, bytes
+    return _boot_sif(host, device)
 
 
 def boot(host: Host, device: Device | None = None, payload: bytes | None = None) -> None:
@@ -157,12 +173,53 @@ class Undescribed(_BootCase):
         replies += [(c.RET_OK, chunk_reply(c.RET_OK, c.FLAG_LAST, 0, b"none\n"))]
         for number, reply in enumerate(replies):
             device = booting(f"add{number}()\n")  # no host knows its interface
-            known = {one.name: getattr(device, one.name) for one in fields(Device)}
-            host.become(_Undescribed(**known, reply=reply))
+            host.become(_Undescribed.of(device, reply=reply))
             for _ in range(2):
                 _end_a_call(host)
                 host.reply(host.asked(b"next"), c.RET_OK, b"right")
                 host.replied_with(c.RET_OK, b"right")
+
+
+class AnnouncedLate(HostCase):
+    """Refuses its properties until the host writes 28 and 245 bytes, then shows that it has boot.
+    Restarts while a call waits, and as firmware with other opcodes in one piece with the last
+    answer that shows it.
+    """
+
+    ID = "host.boot.announced-late"
+    EXPECTATION = "A host that has read the properties takes the boot SIF for what it is."
+    REQUIREMENTS = ("J2A-BOOT-004", "J2A-BOOT-005")
+    LEVEL = "boot"
+
+    def _run(self, host: Host) -> None:
+        for size in (28, 245):
+            if asked := self._write(host, size):
+                _end_a_call(host)
+                host.reply(host.asked(b"next"), c.RET_OK, b"next")
+                host.replied_with(c.RET_OK, b"next")
+                self._write(host, size, asked)
+
+    @staticmethod
+    def _write(host: Host, size: int, answers: float = math.inf) -> int:
+        """Have the host write; return how many requests it made about the device.
+
+        Args:
+            host: that.
+            size: of what is written, in bytes.
+            answers: the device restarts behind so many answers about itself.
+        """
+        device, other = NotingDevice.of(booting()), booting(before=1)
+        host.become_shy(device)
+        device.asked.clear()
+        host.answers, host.behind = answers, partial(_again, host, other)
+        host.job(f"write {STORE} {spelt(size)} {host.limit_ms}")
+        for request in host.serve():
+            if host.device is other and request.opcode != other.opcode(c.MANY):
+                fail("the host goes on by the opcodes of before the restart")
+        host.answers, host.behind = math.inf, bytes
+        host.do(f"call {PING} aa {host.limit_ms}", "reply 0 aa", "restarted")
+        host.do(f"call {PING} bb {host.limit_ms}", "reply 0 bb")
+        return len(device.asked)
 
 
 class Ends(_BootCase):
@@ -268,7 +325,7 @@ class Learning(_BootCase):
         for count in range(1, _MOST_ANSWERS):
             _rest(host)
             host.device, host.answers = BOOTING, count
-            host.behind = partial(self._again, host, booting(before=count % 3 + 1))
+            host.behind = partial(_again, host, booting(before=count % 3 + 1))
             host.job(f"call {PING} aa {host.limit_ms}")
             if (request := host.request_or_end()) is not None:
                 if host.answers == math.inf:
@@ -281,11 +338,6 @@ class Learning(_BootCase):
             host.job(f"call {PING} bb {host.limit_ms}")
             host.reply(host.request(host.device.opcode(PING), b"\xbb"), c.RET_OK, b"\xbb")
             host.replied_with(c.RET_OK, b"\xbb")
-
-    @staticmethod
-    def _again(host: Host, device: Device) -> bytes:
-        host.answers, host.behind = math.inf, bytes
-        return _boot_sif(host, device)
 
 
 class Transfers(_BootCase):
