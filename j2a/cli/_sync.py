@@ -197,7 +197,7 @@ def _lines(status: dict[str, object]) -> list[str]:
         KeyError, OverflowError, TypeError, ValueError: it is none.
     """
     pid, uptime_s, steps = (_count(status[name]) for name in ("pid", "uptime_s", "steps"))
-    lines = [f"daemon {pid}, for {uptime_s} s, steps: {steps}"]
+    lines = [f"daemon {pid}, for {uptime_s} s, steps: {steps}", *_problem_of(status)]
     boards = _list(status["boards"])
     if not boards:
         return [*lines, "no boards"]
@@ -214,9 +214,13 @@ def _lines(status: dict[str, object]) -> list[str]:
         )
         if one.get("frames_modulo") == SHORT:
             lines.append(f"  frames modulo {SHORT}")
-        if one.get("problem"):
-            lines.append(f"  {_text(one['problem'])}")
+        lines += _problem_of(one)
     return lines
+
+
+def _problem_of(facts: dict[str, object]) -> list[str]:
+    """Return the line about the problem of the daemon or of a board, none without one."""
+    return [f"  {_text(facts['problem'])}"] if facts.get("problem") else []
 
 
 def _number(value: object, unit: str) -> str:

@@ -201,6 +201,7 @@ def answering(folder, reply):
         {"pid": "me"},
         {"uptime_s": None},
         {"steps": True},
+        {"problem": [1]},
         {"boards": [ROW | {"board": 7}]},
         {"boards": [ROW | {"state": True}]},
         {"boards": [ROW | {"lost": "none"}]},
@@ -219,6 +220,18 @@ def test_a_status_of_other_kinds_is_none(run, folder, changed):
         result = run("sync", "status")
     assert (result.code, result.out) == (3, "")
     assert "is it of another version" in result.err
+
+
+@pytest.mark.parametrize("boards", [[], [ROW]])
+def test_the_status_tells_why_the_daemon_finds_no_boards(run, folder, boards):
+    status = STATUS | {"problem": "libusb does not load", "boards": boards}
+    with answering(folder, lambda _request: status):
+        result = run("sync", "status")
+    assert result.code == 0
+    assert result.out.splitlines()[:2] == [
+        "daemon 1, for 2 s, steps: 0",
+        "  libusb does not load",
+    ]
 
 
 @pytest.mark.parametrize("words", [["status"], ["status", "--json"], ["plot", "-o", "x.svg"]])
