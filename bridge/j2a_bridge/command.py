@@ -1,8 +1,8 @@
 """`j2a bridge`: publish the transducers of boards to ROS, recordings, plotters and more.
 
 In: URLs of boards and names of sinks, or a file that says both. Out: samples, wherever they go.
-Rules: it runs until Ctrl-C or SIGTERM; a board that is gone is waited for, and a sink that fails is
-opened anew, except for a recording, so neither ends the others.
+Rules: it runs until Ctrl-C, SIGTERM or SIGHUP; a board that is gone is waited for, and a sink that
+fails is opened anew, except for a recording, so neither ends the others.
 """
 
 from __future__ import annotations
@@ -182,7 +182,9 @@ async def run_bridge(
         interrupted.append(number)
         bridge.stop()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
+            continue  # nohup has it ignored
         loop.add_signal_handler(number, stop, number)
     if limit_s is not None:
         loop.call_later(limit_s, bridge.stop)

@@ -313,7 +313,16 @@ def run_command(*words, **more):
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.fixture
+def heeds_sighup():
+    """Nothing has SIGHUP ignored, as nohup does."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.usefixtures("heeds_sighup")
 def test_the_command_ends_properly_by_a_signal(tmp_path, number):
     path = tmp_path / "a.mcap"
     device = board_of()

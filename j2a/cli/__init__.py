@@ -21,6 +21,7 @@ from j2a.cli._exit import (
     OUTPUT_CLOSED,
     USAGE,
     UsageError,
+    end_on_signals,
     error_facts,
     exit_code,
     exit_codes_help,
@@ -64,10 +65,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the program.
 
     Args:
-        argv: the arguments without the program's name; those of the process if not given.
+        argv: the arguments without the program's name; None: this is the program itself, with
+            those of the process.
 
     Returns: the exit code, one of `EXIT_CODES`.
     """
+    if argv is None:
+        end_on_signals()  # now, as each command has something to leave: a link, a file, a program
     prepare_output()
     words = sys.argv[1:] if argv is None else list(argv)
     try:

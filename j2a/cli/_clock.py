@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import j2a
-from j2a.cli._exit import LINK, OK, end_on_signals, error_facts, exit_code
+from j2a.cli._exit import LINK, OK, error_facts, exit_code
 from j2a.cli._link import (
     add_json_argument,
     add_link_options,
@@ -78,7 +78,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Ask the boards; returns the exit code."""
-    end_on_signals()
     with contextlib.ExitStack() as stack:
         boards = [stack.enter_context(connect(args, url)) for url in args.urls]
         if not args.discipline and not args.watch:

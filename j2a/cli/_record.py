@@ -18,7 +18,7 @@ from typing import Final
 from j2a_spec.plural import counted
 
 import j2a
-from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_signals
+from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError
 from j2a.cli._heartbeat import Pulse
 from j2a.cli._link import add_link_options, connect, finite_seconds, whole_number
 from j2a.cli._output import note, show
@@ -281,7 +281,6 @@ def run(args: argparse.Namespace) -> int:
     if twice:
         raise UsageError(f"{twice[0]} stands there twice")
     check_package()  # now, as samples come as soon as the boards are there
-    end_on_signals()
     with contextlib.ExitStack() as stack:
         clients = [stack.enter_context(connect(args, url)) for url in args.urls]
         for client in clients:

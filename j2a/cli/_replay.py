@@ -13,7 +13,7 @@ from typing import Final
 import j2a_transports
 from j2a_spec.plural import counted
 
-from j2a.cli._exit import FAILED, OK, CommandFailed, end_on_signals, file_errors
+from j2a.cli._exit import FAILED, OK, CommandFailed, file_errors
 from j2a.cli._link import add_listen_argument, check_listen_url, positive_number, takes_stdio
 from j2a.cli._output import note, show
 from j2a.cli._progress import Progress
@@ -50,7 +50,6 @@ def run(args: argparse.Namespace) -> int:
     check_speed(args.speed)
     with file_errors(f"cannot read {args.file}"):
         board = ReplayBoard(args.file, args.board)
-    end_on_signals()
     with j2a_transports.listen(args.listen) as listener, board:
         tell = note if takes_stdio(listener.url) else show
         tell(f"listening on {listener.url}")

@@ -15,7 +15,7 @@ from pathlib import Path
 import j2a_transports
 
 import j2a
-from j2a.cli._exit import OK, UsageError, end_on_signals
+from j2a.cli._exit import OK, UsageError
 from j2a.cli._link import (
     add_condition_arguments,
     add_listen_argument,
@@ -104,7 +104,6 @@ def run(args: argparse.Namespace) -> int:
     if args.verbose:
         # A Device takes its trace when it is made, which was before the command line was read.
         device.trace = TracePrinter(raw=args.verbose > 1, is_device=True)
-    end_on_signals()  # leaves the listener, which removes what it made
     with j2a_transports.listen(args.listen) as listener, device:
         # Where standard output is the link, the text must not get between the bytes.
         tell = note if takes_stdio(listener.url) else show

@@ -21,7 +21,7 @@ from urllib.parse import unquote
 from j2a_spec.plural import counted
 
 import j2a
-from j2a.cli._exit import FAILED, OK, TIMEOUT, CommandFailed, UsageError, end_on_signals
+from j2a.cli._exit import FAILED, OK, TIMEOUT, CommandFailed, UsageError
 from j2a.cli._link import connect
 from j2a.cli._output import note, show, show_json
 from j2a.protocol.clock import ClockState, Status
@@ -57,7 +57,6 @@ def verify(args: argparse.Namespace) -> int:
     """Run it; returns the exit code: FAILED when an error is beyond what the boards announce."""
     if len(args.urls) != 2:
         raise UsageError("verify takes two URLs: the board that drives the wire, and the referee")
-    end_on_signals()
     with contextlib.ExitStack() as stack:
         driver, referee = boards = [stack.enter_context(connect(args, one)) for one in args.urls]
         actuator = _chosen(driver, args.actuator, "actuator")

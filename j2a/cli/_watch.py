@@ -29,7 +29,6 @@ from j2a.cli._exit import (
     TIMEOUT,
     CommandFailed,
     UsageError,
-    end_on_signals,
     error_facts,
 )
 from j2a.cli._heartbeat import Pulse
@@ -269,8 +268,6 @@ def run(args: argparse.Namespace) -> int:
     wanted = [_opcode_or_name(text) for text in args.sifs]
     first = [_parse_call("--call", text) for text in args.call]
     last = [_parse_call("--then", text) for text in args.then]
-    if last:
-        end_on_signals()
     with connect(args) as client:
         try:
             _watch(client, wanted, first, args)

@@ -225,7 +225,7 @@ class Runner:
 
 @contextmanager
 def stopped_by_signals(stop: threading.Event) -> Iterator[list[int]]:
-    """Let Ctrl-C and SIGTERM set `stop`, and yield a list that their numbers are added to."""
+    """Let Ctrl-C, SIGTERM and SIGHUP set `stop`; yield a list that their numbers are added to."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield received  # only the main thread may handle signals
@@ -236,9 +236,10 @@ def stopped_by_signals(stop: threading.Event) -> Iterator[list[int]]:
         if len(received) == 1:  # another one amid `set` would wait for ever for its lock
             stop.set()
 
-    before = {
-        number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, on_signal) for number in numbers}
     try:
         yield received
     finally:
@@ -272,7 +273,7 @@ def run(
     out: TextIO | None = None,
     err: TextIO | None = None,
 ) -> int | None:
-    """Serve firmware in a simulated AVR until Ctrl-C, SIGTERM, `stop`, or `once` ends it.
+    """Serve firmware in a simulated AVR until a signal, `stop`, or `once` ends it.
 
     Prints `listening on URL` to `out` when the firmware listens and a client may come, and the
     figures of the run (see `summary`) to `err` at the end.

@@ -298,7 +298,16 @@ def command(*arguments, **options):
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.fixture
+def heeds_sighup():
+    """Nothing has SIGHUP ignored, as nohup does."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.usefixtures("heeds_sighup")
 def test_command_ends_cleanly_by_signal(firmware, number):
     with command(firmware("echo"), "--listen", "tcp://127.0.0.1:0", "--speed", "0") as process:
         line = process.stdout.readline().decode()

@@ -115,6 +115,27 @@ def test_serve_ends_on_sigterm_and_removes_its_link(start, run, tmp_path):
     assert not link.is_symlink()
 
 
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_a_signal_leaves_no_program_of_a_link_behind(start, tmp_path, number, code):
+    never = tmp_path / "never.py"
+    never.write_text(
+        "import os, sys, time\nprint(os.getpid(), file=sys.stderr, flush=True)\ntime.sleep(900)\n"
+    )
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it
+    try:
+        program = start("info", f"exec:{sys.executable} {never}", "--boot-time", "900")
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    pid = int(program.line_with("", "err"))
+    program.process.send_signal(number)
+    result = program.end()
+    assert (result.code, result.out) == (code, "")
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
 def test_serve_once(start, run):
     server = start("serve", "--once")
     url = server.line_with("listening on ").split()[-1]

@@ -93,7 +93,7 @@ def run_usbip(
     out: TextIO | None = None,
     err: TextIO | None = None,
 ) -> int | None:
-    """Serve firmware in simulated AVRs over USB/IP until Ctrl-C, SIGTERM or `stop` ends it.
+    """Serve firmware in simulated AVRs over USB/IP until a signal or `stop` ends it.
 
     Prints `exporting BUSID at HOST:PORT` to `out` for each board when it can be attached, and the
     figures of the run to `err` at the end.
