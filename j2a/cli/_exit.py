@@ -29,7 +29,8 @@ _ENDING: Final = [signal.SIGTERM, *filter(None, [getattr(signal, "SIGHUP", None)
 
 EXIT_CODES: Final = {
     OK: "done",
-    FAILED: "the function reported failure, data came back different, or clocks are off",
+    FAILED: "the function reported failure, data came back different, clocks are off, or a "
+    "recording, a table or a sink is not whole",
     USAGE: "the command line is wrong, or names what the device or this computer does not have",
     LINK: "the link could not be opened, or was lost",
     TIMEOUT: "no answer in time",

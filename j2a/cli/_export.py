@@ -2,13 +2,16 @@
 
 In: a file that `j2a record` wrote. Out: a folder with a table for each sensor, as CSV or Parquet.
 Rules: a row is one value of one channel; channels without a value have none. Tables are written
-piece by piece, so that a long recording needs no more memory than a short one; a file that is there
-already is not overwritten.
+piece by piece, so that a long recording needs no more memory than a short one. They have their
+names when all of them are whole; a full disk, or Ctrl-C, leaves none. A file that is there already
+is not overwritten.
 """
 
 import argparse
 import contextlib
+import errno
 import json
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final, Self
@@ -78,7 +81,9 @@ def run(args: argparse.Namespace) -> int:
                 start_ns = one.time_ns if start_ns is None else start_ns
                 progress(max(0, one.time_ns - start_ns) / 1e9, overview.duration_s)
             for table in tables.values():
-                table.flush()
+                table.finish()
+            for table in tables.values():
+                table.keep()
         except FileExistsError as error:
             raise UsageError(f"{error.filename} is there already; choose another folder") from None
         except OSError as error:
@@ -111,34 +116,66 @@ def _plain(name: str) -> str:
 
 
 class _Table:
-    """The table of one sensor; a context manager that closes it."""
+    """The table of one sensor; a context manager that removes it if it was not kept.
+
+    Raises:
+        FileExistsError: one of its files is there already.
+    """
 
     def __init__(self, path: Path, sensor: Transducer, form: str) -> None:
         self.path = path
         self.rows = 0
         self._sensor = sensor
         self._waiting: list[Recorded] = []
-        self._write, self._close = _WRITERS[form](path)
+        self._about = path.with_suffix(".units.json") if form == "csv" else None
+        for one in filter(None, (path, self._about)):
+            if one.exists():
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(one))
+        self._units: dict[str, str] = {}
+        self._parts = {path: _part_of(path)}
+        self._parts[path].unlink(missing_ok=True)  # of a run that was killed
+        self._write, self._close = _WRITERS[form](self._parts[path])
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        self._close()
+        with contextlib.suppress(OSError):  # as was told
+            self._close()
+        for part in self._parts.values():
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
 
     def add(self, one: Recorded) -> None:
         """Take a sample; now and then it writes what waits."""
         self._waiting.append(one)
         if len(self._waiting) >= _PIECE:
-            self.flush()
+            self._flush()
 
-    def flush(self) -> None:
-        """Write what waits."""
+    def finish(self) -> None:
+        """Write all that there is, and close the files."""
+        self._flush()
+        self._close()
+        if self._about and self._units:
+            part = self._parts[self._about] = _part_of(self._about)
+            part.write_text(json.dumps(self._units, indent=1) + "\n", encoding="utf-8")
+
+    def keep(self) -> None:
+        """Give the files, which are finished, their names."""
+        for path, part in self._parts.items():
+            part.replace(path)
+
+    def _flush(self) -> None:
         if self._waiting:
             frame = _frame(self._sensor, self._waiting)
             self._waiting = []
             self.rows += len(frame)
+            self._units = frame.attrs["units"]
             self._write(frame)
+
+
+def _part_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.part")
 
 
 def _frame(sensor: Transducer, samples: list[Recorded]) -> _Frame:
@@ -160,11 +197,7 @@ def _csv(path: Path) -> _Writer:
     heads: Iterator[bool] = iter((True,))
 
     def write(frame: _Frame) -> None:
-        is_first = next(heads, False)
-        frame.to_csv(file, index=False, header=is_first, lineterminator="\n")
-        if is_first and (units := frame.attrs["units"]):
-            with path.with_suffix(".units.json").open("x", encoding="utf-8") as about:
-                about.write(json.dumps(units, indent=1) + "\n")
+        frame.to_csv(file, index=False, header=next(heads, False), lineterminator="\n")
 
     return write, file.close
 

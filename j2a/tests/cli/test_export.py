@@ -10,6 +10,8 @@ from j2a.cli import _export
 from j2a.recording import Recorder
 from j2a.types.transds_file import read_transds
 
+from .conftest import files_of
+
 # Fixtures, because every worker imports this module and one of them runs its tests.
 pytestmark = pytest.mark.usefixtures("pandas", "parquet")
 
@@ -240,6 +242,36 @@ def test_what_cannot_be_exported(run, path, tmp_path):
     result = run("export", cut, tmp_path / "empty")
     assert result.code == 0
     assert "has no samples" in result.err
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+@pytest.mark.parametrize("ending", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_tables_that_are_not_whole_are_not_left(run, path, tmp_path, monkeypatch, form, ending):
+    write = _export._Table.add
+    monkeypatch.setattr(_export, "_PIECE", 1)
+
+    def add(table, one):
+        write(table, one)
+        if one.sensor.name == "rows":
+            raise ending
+
+    monkeypatch.setattr(_export._Table, "add", add)
+    result = run("export", path, tmp_path / "out", "--format", form)
+    assert (result.code, result.out) == (130 if isinstance(ending, KeyboardInterrupt) else 1, "")
+    assert list((tmp_path / "out").iterdir()) == []
+    monkeypatch.undo()
+    assert run("export", path, tmp_path / "out", "--format", form).code == 0
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_a_disk_that_is_full_is_told(run, path, tmp_path, form):
+    """The last bytes are written when the files are closed, which is refused again."""
+    out = tmp_path / "out"
+    with files_of(50):
+        result = run("export", path, out, "--format", form)
+    assert (result.code, result.out) == (1, "")
+    assert "j2a: cannot write the tables: " in result.err
+    assert list(out.iterdir()) == []
 
 
 def test_a_recording_that_ends_early(run, path, tmp_path):
