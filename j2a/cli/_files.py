@@ -11,11 +11,16 @@ import shutil
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 
 from j2a_spec.printable import printable
 
 from j2a.cli._exit import UsageError, file_errors
 from j2a.cli._output import show_bytes, show_text
+
+
+_MOST_LINKS: Final = 40
+"""Of a path; Linux follows no more."""
 
 
 def write_files(files: Mapping[Path, str]) -> None:
@@ -34,7 +39,8 @@ def write_files(files: Mapping[Path, str]) -> None:
 def write_file(path: Path, content: str | bytes) -> None:
     """Write a file as a whole; one that is there keeps its permissions.
 
-    What is no plain file is written into: a pipe, a device, a link, or the standard output.
+    A link stays, and the file that it names is written. What is no plain file is written into: a
+    pipe, a device, or a file that is open already, such as the standard output.
 
     Raises:
         UsageError: it cannot be written.
@@ -49,10 +55,11 @@ def write_file(path: Path, content: str | bytes) -> None:
         return
     data = content if isinstance(content, bytes) else written(content).encode()
     with file_errors(f"cannot write {path}"):
-        if path.is_symlink() or (path.exists() and not path.is_file()):
+        target = _plain_file(path)
+        if target is None:
             path.write_bytes(data)
         else:
-            _exchange(path, data)
+            _exchange(target, data)
 
 
 def is_output(path: Path) -> bool:
@@ -60,6 +67,24 @@ def is_output(path: Path) -> bool:
     with contextlib.suppress(OSError):  # neither needs to be there
         return os.path.samestat(path.stat(), os.fstat(sys.stdout.fileno()))
     return False
+
+
+def _plain_file(path: Path) -> Path | None:
+    """Return the plain file that is behind a path and its links, or would be; None: there is none.
+
+    A link in /proc, to which /dev/stderr leads, is an open file: another one of the same name would
+    not be what is written.
+    """
+    if path.exists() and not path.is_file():
+        return None
+    for _ in range(_MOST_LINKS):
+        if not path.is_symlink():
+            return path
+        folder = path.parent.resolve()
+        if folder.parts[:2] == ("/", "proc"):
+            return None
+        path = folder / path.readlink()
+    return None
 
 
 def _exchange(path: Path, data: bytes) -> None:

@@ -19,7 +19,7 @@ from j2a.cli._files import write_files
 from j2a.tests.types.test_transds_file import DESCRIPTORS_9_2, LISTING_9_2
 from j2a.types.transds_file import read_transds
 
-from .conftest import served
+from .conftest import files_of, served
 
 FILE = Path(__file__).parents[3] / "firmware/apps/transducers/transds.def"
 NUMBERS = "TRANSDUCERS_NUMBERS"
@@ -248,6 +248,39 @@ def test_a_link_and_a_pipe_stay_what_they_are(run, transds, tmp_path):
     assert pipe.is_fifo()
     assert b"<html" in os.read(reader, 1 << 16)
     os.close(reader)
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_the_file_behind_links_is_written_as_a_whole(run, transds, tmp_path, is_there):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    page, first, second = folder / "page.html", folder / "first", tmp_path / "second"
+    first.symlink_to("page.html")
+    second.symlink_to("folder/first")
+    if is_there:
+        page.write_text("old")
+    with files_of(50):
+        failed(run, 2, "transds", transds, "--html", second)
+    assert [one.read_text() for one in folder.glob("page*")] == ["old"] * is_there
+    assert run("transds", transds, "--html", second).code == 0
+    assert "<html" in page.read_text()
+    assert second.is_symlink()
+    assert first.is_symlink()
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="there is no /proc")
+def test_a_file_that_is_open_stays_the_one_that_is_open(run, transds, tmp_path):
+    page = tmp_path / "page.html"
+    with page.open("w+") as file:
+        assert run("transds", transds, "--html", f"/dev/fd/{file.fileno()}").code == 0
+        assert "<html" in file.read()
+
+
+def test_links_in_a_circle_are_told(run, transds, tmp_path):
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    failed(run, 2, "transds", transds, "--html", tmp_path / "a")
+    assert (tmp_path / "a").is_symlink()
 
 
 def test_a_file_system_without_permissions_is_no_reason_to_refuse(
