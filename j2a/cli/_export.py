@@ -129,7 +129,7 @@ class _Table:
         self._waiting: list[Recorded] = []
         self._about = path.with_suffix(".units.json") if form == "csv" else None
         for one in filter(None, (path, self._about)):
-            if one.exists():
+            if one.exists() or one.is_symlink():
                 raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(one))
         self._units: dict[str, str] = {}
         self._parts = {path: _part_of(path)}

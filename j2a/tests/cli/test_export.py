@@ -88,6 +88,17 @@ def test_csv(run, path, tmp_path):
     again = run("export", path, out)
     assert again.code == 2
     assert "is there already" in again.err
+    assert list(out.glob("*.part")) == []
+
+
+def test_a_link_to_nothing_is_not_overwritten(run, path, tmp_path):
+    link = tmp_path / "left_cart_log.csv"
+    link.symlink_to("none")
+    result = run("export", path, tmp_path)
+    assert (result.code, result.out) == (2, "")
+    assert f"{link} is there already" in result.err
+    assert link.is_symlink()
+    assert {one.name for one in tmp_path.iterdir()} == {"drive.mcap", link.name}
 
 
 def test_a_file_in_place_of_the_folder(run, path, tmp_path):
