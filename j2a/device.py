@@ -137,7 +137,9 @@ class Device(FunctionRegistry):
                 f"room is a number of bytes from {MIN_ROOM} to {MAX_PAYLOAD}, not {room!r}"
             )
         if clock is not None and not (isinstance(clock, int | float) and -1e6 < clock < _MOST_PPM):
-            raise LocalError(f"clock is a number of ppm above -1000000, not {clock!r}")
+            raise LocalError(
+                f"clock is a number of ppm above -1000000 and below {_MOST_PPM:.0f}, not {clock!r}"
+            )
         if boot and not interface:
             raise LocalError("boot=True needs interface=True, whose hash the boot SIF tells")
         self._debug_text = DebugText()

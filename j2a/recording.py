@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
 
 from j2a_spec.constants import TRANSD_TOPIC
+from j2a_spec.plural import counted
 
 from j2a.errors import LocalError
 from j2a.events import Sample, immutable
@@ -519,7 +520,8 @@ class Recording:
 
     def _check(self, file: McapFile) -> None:
         if file.problems:
-            others = f", and {file.problems - 1} other parts" if file.problems > 1 else ""
+            more = file.problems - 1
+            others = f", and {counted(more, 'other part')}" if more else ""
             raise LocalError(f"{self._path} is damaged: {file.problem}{others}; it was left out")
 
     def _add_board(self, record: About, described: int) -> int:

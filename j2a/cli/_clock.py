@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--period",
-        type=finite_seconds,
+        type=_period,
         default=1.0,
         metavar="S",
         help=f"time between two rounds, in seconds, {MAX_PERIOD_S:g} at most (1)",
@@ -74,6 +74,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_json_argument(parser, "a line for each board and round")
     add_link_options(parser)
+
+
+def _period(text: str) -> float:
+    value = finite_seconds(text)
+    if value > MAX_PERIOD_S:
+        raise argparse.ArgumentTypeError(f"must be at most {MAX_PERIOD_S:g}, not {text}")
+    return value
 
 
 def run(args: argparse.Namespace) -> int:

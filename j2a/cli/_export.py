@@ -91,12 +91,13 @@ def run(args: argparse.Namespace) -> int:
     for table in tables.values():
         show(f"wrote {table.path}: {counted(table.rows, 'row')}")
     if not tables and not problems:
-        note(f"j2a: {args.file} has no samples")
+        end = "" if recording.is_whole else "; it is incomplete"
+        note(f"j2a: {args.file} has no samples{end}")
     if problems:
         if tables:
             raise CommandFailed(f"{problems[0]}; the rest is written", FAILED)
         raise problems[0]
-    if not recording.is_whole:
+    if tables and not recording.is_whole:
         note(f"j2a: {args.file} is incomplete; the samples in it were exported")
     return OK
 

@@ -18,7 +18,6 @@ from j2a_spec.printable import printable
 from j2a.cli._exit import UsageError, file_errors
 from j2a.cli._output import show_bytes, show_text
 
-
 _MOST_LINKS: Final = 40
 """Of a path; Linux follows no more."""
 

@@ -7,6 +7,7 @@ import argparse
 import contextlib
 import inspect
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -131,12 +132,24 @@ def add_condition_arguments(parser: argparse.ArgumentParser, file: str) -> None:
 
 
 def conditions_of(args: argparse.Namespace) -> dict[str, str | None]:
-    """Return what `-D` and `-U` say names stand for, None for nothing."""
+    """Return what `-D` and `-U` say names stand for, None for nothing.
+
+    Raises:
+        UsageError: what stands there is no name of C.
+    """
+    for one in args.undefine:
+        _check_name("-U", one, one)
     options: dict[str, str | None] = dict.fromkeys(args.undefine)
     for one in args.define:
         name, is_given, value = one.partition("=")
+        _check_name("-D", name, one)
         options[name] = value if is_given else "1"
     return options
+
+
+def _check_name(option: str, name: str, text: str) -> None:
+    if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
+        raise UsageError(f"{option} {text!r}: {name!r} is no name, as HAS_ADC is")
 
 
 def add_progress_argument(parser: argparse.ArgumentParser) -> None:

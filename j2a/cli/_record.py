@@ -20,7 +20,7 @@ from j2a_spec.plural import counted
 import j2a
 from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError
 from j2a.cli._heartbeat import Pulse
-from j2a.cli._link import add_link_options, connect, finite_seconds, whole_number
+from j2a.cli._link import add_link_options, connect, finite_number, finite_seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._progress import Progress, size_text
 from j2a.io.threads import start_thread
@@ -71,7 +71,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _seconds(text: str) -> float:
-    return 0.0 if text == "0" else finite_seconds(text)
+    value = finite_number(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"must be 0 or more, not {text}")
+    return value
 
 
 class _Session:

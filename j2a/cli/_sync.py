@@ -54,7 +54,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="show the boards, plot them, or check two clocks by a wire",
     )
     parser.add_argument(
-        "urls", nargs="*", metavar="URL", help="for verify: the board that sets a pin, the referee"
+        "urls",
+        nargs="*",
+        default=[],
+        metavar="URL",
+        help="for verify: the board that sets a pin, the referee",
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.svg", help="where the plot goes, for plot"

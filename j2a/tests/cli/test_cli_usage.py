@@ -161,6 +161,14 @@ def test_version(run):
         (["serve", "--device", "json:nope"], "no attribute 'nope'"),
         (["serve", "--device", "builtins:dict"], "is dict, not a j2a.Device"),
         (["sim"], "required: KIND"),
+        (["sync"], "required: what\n"),
+        (["clock", NOWHERE, "--period", "6"], "argument --period: must be at most 5, not 6\n"),
+        (["record", NOWHERE, "-o", "a.mcap", "--wait", "-1"], "--wait: must be 0 or more, not -1"),
+        (["record", NOWHERE, "-o", "a.mcap", "--wait", "nan"], "--wait: nan is not finite"),
+        (["transds", "transds.def", "-D", "=1"], "-D '=1': '' is no name, as HAS_ADC is"),
+        (["stub", "functions.def", "-D", "1x=3"], "-D '1x=3': '1x' is no name"),
+        (["stub", "functions.def", "-U", "A=1"], "-U 'A=1': 'A=1' is no name"),
+        (["serve", "--clock", "1e9"], "above -1000000 and below 1000000000, not 1000000000.0"),
     ],
 )
 def test_wrong_arguments_end_with_2_and_advice(run, argv, says):

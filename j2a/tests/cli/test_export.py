@@ -252,7 +252,10 @@ def test_what_cannot_be_exported(run, path, tmp_path):
         recorder.add_board("cart", read_transds(FILE), url="sim:x", properties={})
     result = run("export", cut, tmp_path / "empty")
     assert result.code == 0
-    assert "has no samples" in result.err
+    assert result.err == f"j2a: {cut} has no samples\n"
+    cut.write_bytes(b"")
+    result = run("export", cut, tmp_path / "empty")
+    assert (result.code, result.err) == (0, f"j2a: {cut} has no samples; it is incomplete\n")
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])

@@ -425,6 +425,12 @@ for n in count():
         assert len(written) - 3000 < len(found) < len(written)
         at = next(n for n, row in enumerate(found) if row != written[n])
         assert found == written[:at] + written[at + len(written) - len(found) :]
+        for told in ("1 other part", "2 other parts"):
+            chunk = data.index(b"zstd", chunk) + 100
+            data[chunk] ^= 1
+            path.write_bytes(data)
+            with pytest.raises(j2a.LocalError, match=rf", and {told}; it was left out$"):
+                list(Recording(path))
 
     def test_a_file_of_which_the_power_left_zeros_ends_early(self, path):
         written = write_hour(path, 30)
