@@ -12,8 +12,8 @@ from typing import Any, Final
 import j2a
 from j2a.cli.plugin import json_of, plain
 from j2a.types.model import Enumeration
+from j2a.types.scaled_numbers import scaling_of, text_in_unit
 from j2a.types.transducers import Transducer
-from j2a_bridge.number_text import number_text, scaling_of
 from j2a_bridge.topics import Topic
 
 __all__ = ["ActuatorValues"]
@@ -90,9 +90,9 @@ def _text(actuator: Transducer, raw: Any) -> str | None:
     if raw is None:
         return None
     if isinstance(raw, float) or (actuator.is_scaled and isinstance(raw, int)):
-        text = number_text(raw, kind.element, scale, offset)
+        text = text_in_unit(raw, kind.element, scale, offset)
         return text if math.isfinite(float(text)) else None
     if actuator.is_scaled and isinstance(raw, tuple):
-        return f"[{', '.join(number_text(one, kind.element, scale, offset) for one in raw)}]"
+        return f"[{', '.join(text_in_unit(one, kind.element, scale, offset) for one in raw)}]"
     value = json_of(raw)
     return value if isinstance(value, str) else plain(value, kind)

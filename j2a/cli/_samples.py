@@ -16,7 +16,8 @@ from typing import Any, Final
 
 import j2a
 from j2a.cli._typed import json_of, plain
-from j2a.types.transducers import LOST_BYTES, TIME_BYTES, shortest_f32
+from j2a.types.scaled_numbers import scaling_of, shortest_in_unit
+from j2a.types.transducers import Transducer
 
 LAST: Final = 50
 """So many samples are behind the figures in the line of one."""
@@ -25,21 +26,17 @@ _US: Final = 1e6
 _MS: Final = 1e3
 _SLACK_US: Final = 1e3
 """By so much, and the error of the clock, a delay may be below 0: times of day are that exact."""
-_F32_BYTES: Final = 4
-_ROUNDINGS: Final = 4
-"""So many units in the last place scale, offset and their own digits may change a value."""
 Facts = dict[str, float | int | None]
 """How regularly samples come: counts and, in milliseconds, times; None where it is not known."""
 
 
-def sample_text(sample: j2a.Sample) -> str:
-    """Return a sample as people read it, such as "quad  12.5 deg, N/A"."""
+def sample_text(sample: j2a.Sample, sensor: Transducer) -> str:
+    """Return a sample of a sensor as people read it, such as "quad  12.5 deg, N/A"."""
     unit = f" {sample.unit}" if sample.unit else ""
     channels = [one.channel for one in sample.readings]
-    is_f32 = _is_f32(sample)
     is_plain = channels == list(range(len(channels)))
     parts = [
-        ("" if is_plain else f"[{one.channel}] ") + _value_text(one, unit, is_f32=is_f32)
+        ("" if is_plain else f"[{one.channel}] ") + _value_text(one, unit, sensor)
         for one in sample.readings
     ]
     notes = [f"{name} {unit}" for name, unit in sample.field_units if unit]
@@ -49,38 +46,22 @@ def sample_text(sample: j2a.Sample) -> str:
     return f"{sample.name}  {', '.join(parts)}{more}"
 
 
-def _value_text(reading: j2a.Reading, unit: str, *, is_f32: bool) -> str:
+def _value_text(reading: j2a.Reading, unit: str, sensor: Transducer) -> str:
     if reading.time_us is None:
         return "none yet"
     if reading.value is None:
         return "N/A"
-    return f"{plain(_short(reading.value, reading.raw, is_f32=is_f32))}{unit}"
+    return f"{plain(_short(reading.value, reading.raw, sensor))}{unit}"
 
 
-def _is_f32(sample: j2a.Sample) -> bool:
-    """Tell whether floating-point values, or those of arrays, have 4 bytes, and not 8."""
-    count = len(sample.readings)
-    raw = sample.readings[0].raw if count else None
-    size = _F32_BYTES * (len(raw) if isinstance(raw, tuple) else 1)
-    plain_size, queued_size = TIME_BYTES + size, 1 + TIME_BYTES + size
-    return len(sample.payload) in (count * plain_size, LOST_BYTES + count * queued_size)
-
-
-def _short(value: Any, raw: Any, *, is_f32: bool) -> Any:
-    """Leave out the digits that scaling adds, as in 17.099999999999998; JSON has all of them."""
+def _short(value: Any, raw: Any, sensor: Transducer) -> Any:
+    """Leave out the digits that scaling and the f64 of an f32 add; JSON has all of them."""
     if isinstance(value, tuple) and isinstance(raw, tuple) and not hasattr(value, "_fields"):
         parts = zip(value, raw, strict=True)  # structures have no scale
-        return tuple(_short(one, other, is_f32=is_f32) for one, other in parts)
+        return tuple(_short(one, other, sensor) for one, other in parts)
     if not isinstance(value, float) or not math.isfinite(value):
         return value
-    is_f32 &= isinstance(raw, float)
-    if value == raw:
-        return shortest_f32(value) if is_f32 else value
-    if is_f32:  # an offset may ask for more digits than an f32 has
-        return float(f"{value:.9g}")
-    short = float(f"{value:.15g}")
-    is_same = abs(short - value) <= _ROUNDINGS * math.ulp(value)
-    return short if is_same else float(f"{value:.16g}")
+    return shortest_in_unit(raw, sensor.type.element, *scaling_of(sensor))
 
 
 def sample_facts(sample: j2a.Sample) -> dict[str, Any]:

@@ -57,6 +57,7 @@ from j2a.cli._values import Decoder, payload_of, short_hex, text_of
 from j2a.io.transducers import Transducers
 from j2a.types.coding import Codec, PythonTypes
 from j2a.types.model import SifShape
+from j2a.types.transducers import Transducer
 
 NOTES = f"""\
 examples:
@@ -91,12 +92,13 @@ _Shapes = dict[int, tuple[SifShape, Codec]]  # by opcode
 
 
 class _Arrived(NamedTuple):
-    """A SIF, with the time of day and of the link, and the sample that it is."""
+    """A SIF, with the time of day and of the link, and the sample that it is, of which sensor."""
 
     at_s: float
     came_at: float
     sif: j2a.Sif
     sample: j2a.Sample | None
+    sensor: Transducer | None
 
 
 class _Arrivals:
@@ -310,7 +312,8 @@ def _watch(
         if arrived.qsize() >= _MOST_WAITING:
             left_out += 1
             return
-        arrived.put(_Arrived(time.time(), client.now(), sif, client._source.current))
+        now = time.time(), client.now()
+        arrived.put(_Arrived(*now, sif, client._source.current, _sensor_of(client)))
 
     client.on_sif(opcodes, take)
     _call_each(client, first)
@@ -344,6 +347,16 @@ def _watch(
     if table is not None:
         table.show()
     _tell_end(args, seen, unseen, left_out)
+
+
+def _sensor_of(client: j2a.Client) -> Transducer | None:
+    """Return the sensor of the sample that is being delivered, None where the SIF is none."""
+    source = client._source
+    if source.current is None:
+        return None
+    # While the board is asked anew what it has, that of before.
+    codec = source.codec_of_reply(source.current.name)
+    return None if codec is None else codec.transducer
 
 
 def _tell_end(args: argparse.Namespace, seen: int, unseen: int, left_out: int) -> None:
@@ -468,8 +481,8 @@ def _print(one: _Arrived, figures: Facts | None, shapes: _Shapes, args: argparse
     problem = None
     values: object
     try:
-        if sample is not None and figures is not None:
-            values, what = None, sample_text(sample) + last_text(figures)
+        if sample is not None and one.sensor is not None and figures is not None:
+            values, what = None, sample_text(sample, one.sensor) + last_text(figures)
         else:
             values, what = _values_of(sif, shapes, args.types)
     except ValueError as error:

@@ -26,9 +26,9 @@ from j2a_spec.plural import counted
 from j2a import LocalError, Reading
 from j2a.cli.plugin import plain
 from j2a.types.model import Enumeration, Structure, Type
+from j2a.types.scaled_numbers import in_unit, scaling_of, text_in_unit
 from j2a_bridge.actuator_values import ActuatorValues
 from j2a_bridge.json_values import finite
-from j2a_bridge.number_text import in_unit, number_text, scaling_of
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update, port_of
 from j2a_bridge.sinks.mcap import McapSink
 from j2a_bridge.sinks.mqtt import transducer_object
@@ -124,7 +124,7 @@ def _shown(raw: Any, kind: Type, scale: float = 1.0, offset: float = 0.0) -> str
     if isinstance(raw, list | tuple):
         return "  ".join(_shown(one, kind, scale, offset) for one in raw)
     if isinstance(raw, float) or (scale, offset) != (1.0, 0.0):
-        return number_text(raw, kind.element, scale, offset)
+        return text_in_unit(raw, kind.element, scale, offset)
     return plain(raw)
 
 

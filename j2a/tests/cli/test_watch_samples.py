@@ -197,15 +197,10 @@ def test_a_name_that_is_none(run, board, demo):
 @pytest.mark.parametrize(
     ("one", "text"),
     [
-        (sample((0, 5, 1, 1.5), (1, 6, 2, 2.0), unit="deg"), "quad  1.5 deg, 2.0 deg"),
+        (sample((0, 5, 1.5, 1.5), (1, 6, 2.0, 2.0), unit="deg"), "quad  1.5 deg, 2.0 deg"),
         (sample((0, None, 0, None), (1, 6, -1, None)), "quad  none yet, N/A"),
         (sample((2, 5, 1, 1), (0, 6, 2, 2)), "quad  [2] 1, [0] 2"),
         (sample((0, 5, 1, 1), lost=3), "quad  1  (3 lost)"),
-        (
-            sample((0, 5, 95, 95 * 0.18), (1, 6, 18, 18 * 0.18), unit="deg"),
-            "quad  17.1 deg, 3.24 deg",
-        ),
-        (sample((0, 5, (3, 1), (3 * 0.1, 0.1))), "quad  [0.3, 0.1]"),
         (sample((0, 5, 0.0, float("nan"))), "quad  NaN"),
         (
             sample((0, 5, 1, (1, 2)), lost=3, field_units=(("x", "mm"), ("up", ""), ("y", "deg"))),
@@ -215,7 +210,32 @@ def test_a_name_that_is_none(run, board, demo):
     ],
 )
 def test_what_a_line_says(one, text):
-    assert sample_text(one) == text
+    assert sample_text(one, sensor_of("f64, none")) == text
+
+
+@pytest.mark.parametrize(
+    ("kind", "one", "text"),
+    [
+        (
+            "i16, none, (scale, 0.18)",
+            sample((0, 5, 95, 95 * 0.18), (1, 6, 18, 18 * 0.18), unit="deg"),
+            "quad  17.1 deg, 3.24 deg",
+        ),
+        (
+            "array(i16, 2), none, (scale, 0.1)",
+            sample((0, 5, (3, 1), (3 * 0.1, 0.1))),
+            "quad  [0.3, 0.1]",
+        ),
+    ],
+)
+def test_a_line_has_values_in_the_unit(kind, one, text):
+    assert sample_text(one, sensor_of(kind)) == text
+
+
+def sensor_of(kind):
+    """Return a sensor of a type, with what stands behind it in a transds.def."""
+    [sensor] = read_transds(f"SENSOR(quad, 0, quad, X, 1, {kind})").transducers
+    return sensor
 
 
 @pytest.mark.parametrize("more", ["", ", (queue, 3)"])
@@ -226,26 +246,27 @@ def test_what_a_line_says(one, text):
         ("f32, none", 3e10, "30000000000.0"),
         ("f32, none, (scale, 0.5), (offset, 101325)", 0.004, "101325.002"),
         ("array(f32, 2), none", (0.1, 0.7), "[0.1, 0.7]"),
-        ("array(f32, 2), none, (scale, 3)", (0.5, 0.1), "[1.5, 0.300000004]"),
+        ("array(f32, 2), none, (scale, 3)", (0.5, 0.1), "[1.5, 0.3]"),
         ("f64, none", 1732785000.123456, "1732785000.123456"),
         ("f64, none", 123456792.0, "123456792.0"),
         ("array(f64, 2), none", (123456792.0, 0.1 + 0.2), "[123456792.0, 0.30000000000000004]"),
         ("i32, none, (scale, 1), (offset, 0)", 123456792, "123456792.0"),
         ("i16, none, (scale, 0.18)", 95, "17.1"),
+        ("i16, none, (scale, 0.004887585532746823)", 512, "2.50244"),
         ("array(i16, 2), none, (scale, 0.18)", (95, 2), "[17.1, 0.36]"),
         ("u64, none, (scale, 0.001)", 1732785000123, "1732785000.123"),
         ("u64, none, (scale, 0.000001)", 1732785000123456, "1732785000.123456"),
     ],
 )
 def test_a_line_has_the_digits_that_the_sensor_gives(kind, raw, text, more):
-    [sensor] = read_transds(f"SENSOR(quad, 0, quad, X, 1, {kind}{more})").transducers
+    sensor = sensor_of(kind + more)
     codec = SampleCodec(sensor, PythonTypes())
     value = codec.pack_raw(raw)
     payload = struct.pack("<HBQ" if more else "<Q", *((0, 0) if more else ()), 5) + value
     readings = codec.unpack_queued(payload)[1] if more else codec.unpack(payload)
     assert {hash(one) for one in readings}
     one = j2a.Sample("b", "quad", 0, readings, 0.0, payload=payload)
-    assert sample_text(one) == f"quad  {text}"
+    assert sample_text(one, sensor) == f"quad  {text}"
     [told] = sample_facts(one)["readings"]
     assert told["value"] == json_of(codec.physical(codec.unpack_raw(value)))
 

@@ -1,7 +1,7 @@
-"""Numbers as the live page shows them and sends them back.
+"""Numbers of transducers as people see them, and as the live page sends them back.
 
 What flows in: raw numbers, with the scale and offset of their transducer. What flows out: the same
-in the unit of the transducer, as a number and as a text.
+in the unit of the transducer, as a number, as that of the fewest digits, and as a text.
 """
 
 import math
@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from j2a.types.transducers import Transducer, rounded, shortest_f32
 
-__all__ = ["in_unit", "number_text", "scaling_of"]
+__all__ = ["in_unit", "scaling_of", "shortest_in_unit", "text_in_unit"]
 
 _DIGITS: Final = 6
 """An integer has no fewer: one digit would tell 0.25 from 0.5, yet 0.2 is not what was measured."""
@@ -39,21 +39,22 @@ def in_unit(raw: float, element: object, scale: float, offset: float) -> float:
     return float(_decimal(raw) * _decimal(scale) + _decimal(offset))
 
 
-def number_text(raw: float, element: object, scale: float = 1.0, offset: float = 0.0) -> str:
-    """Return a raw number in the unit by the fewest digits that are read back as the same number.
+def shortest_in_unit(raw: float, element: object, scale: float, offset: float) -> float:
+    """Return a raw number in the unit with the fewest digits that lead back to the same raw number.
 
-    Args:
-        raw: the number.
-        element: its type, such as "f32".
-        scale: of its transducer, 1 for none.
-        offset: of its transducer, 0 for none.
+    An f64 keeps all of them. The arguments are those of `in_unit`.
     """
     value = in_unit(raw, element, scale, offset)
     if element != "f64" and scale and math.isfinite(value):
         fewest = 1 if element == "f32" else _DIGITS
         found = (float(f"{value:.{digits}g}") for digits in range(fewest, _MOST_DIGITS))
         value = next((one for one in found if _raw(one, element, scale, offset) == raw), value)
-    return repr(value).removesuffix(".0")
+    return value
+
+
+def text_in_unit(raw: float, element: object, scale: float = 1.0, offset: float = 0.0) -> str:
+    """Return the text of `shortest_in_unit`, without a fraction that is 0."""
+    return repr(shortest_in_unit(raw, element, scale, offset)).removesuffix(".0")
 
 
 def _decimal(number: float) -> Decimal:
