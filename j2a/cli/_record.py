@@ -316,6 +316,15 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
+def _kept(paths: list[Path]) -> bool:
+    """Tell whether anything was written; else remove the file, or its name would be taken."""
+    if any(path.exists() and path.stat().st_size for path in paths):
+        return True
+    for path in paths:
+        path.unlink(missing_ok=True)
+    return False
+
+
 def _names(boards: list[j2a.Client]) -> list[str]:
     """Return a name for each board: its own, with its serial number or a number where need be."""
     own = [board.properties.get("name") or "board" for board in boards]
@@ -387,6 +396,8 @@ def _finish(session: _Session, boards: list[_Board]) -> None:
     paths = ", ".join(map(str, recorder.paths))
     if failure is not None:
         why = failure.strerror or failure
+        if not _kept(recorder.paths):
+            raise CommandFailed(f"cannot write {paths}: {why}", FAILED)
         raise CommandFailed(f"{why}: what was written before is in {paths}", FAILED)
     gaps, gap_s = (sum(getattr(board, key) for board in boards) for key in ("gaps", "gap_s"))
     more = f", and a board was away {counted(gaps, 'time')}, {gap_s:.1f} s" if gaps else ""

@@ -27,7 +27,7 @@ from j2a.tests.library.support import linked
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard
 
-from .conftest import served
+from .conftest import files_of, served
 
 FILE = Path(__file__).parents[3] / "firmware/apps/transducers/transds.def"
 
@@ -432,6 +432,24 @@ def on_terminal(words):
     shown = all_of(terminal)
     process.communicate(timeout=60)
     return process.returncode, shown
+
+
+def test_a_disk_that_is_full_before_the_first_byte_leaves_the_name_free(run, board, tmp_path):
+    path = tmp_path / "a.mcap"
+    with files_of(0):
+        result = run("record", board, "-o", path, "--seconds", "2.5")
+    assert (result.code, result.out) == (1, "")
+    assert result.err.startswith(f"j2a: cannot write {path}: ")
+    assert not path.exists()
+
+
+def test_a_disk_that_becomes_full_leaves_what_was_written(run, board, tmp_path):
+    path = tmp_path / "a.mcap"
+    with files_of(5000):
+        result = run("record", board, "-o", path, "--seconds", "60")
+    assert (result.code, result.out) == (1, "")
+    assert result.err.endswith(f": what was written before is in {path}\n")
+    assert Recording(path).read_boards()
 
 
 @pytest.mark.parametrize(
