@@ -11,7 +11,7 @@ from pathlib import Path
 
 from j2a_spec.plural import counted
 
-from j2a.cli._exit import OK, UsageError
+from j2a.cli._exit import OK, REMOTE, CommandFailed, UsageError
 from j2a.cli._files import write_file
 from j2a.cli._link import (
     add_link_arguments,
@@ -23,6 +23,7 @@ from j2a.cli._link import (
 )
 from j2a.cli._output import note, show_bytes
 from j2a.cli._progress import Progress, size_text
+from j2a.protocol.transfer import TooMuchError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,15 +50,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read, write to the file; returns the exit code."""
     target = None if args.output == "-" else Path(args.output)
-    if target is not None and (target.is_dir() or not target.absolute().parent.is_dir()):
-        raise UsageError(
-            f"cannot write to {args.output!r}: it is a folder, or its folder does not exist"
-        )
+    if target is not None and target.is_dir():
+        raise UsageError(f"cannot write to {args.output!r}: it is a folder; name a file in it")
+    if target is not None and not target.absolute().parent.is_dir():
+        raise UsageError(f"cannot write to {args.output!r}: its folder does not exist")
     function = function_of(args.function)
     with connect(args) as client, telling_transducers(client, args.function):
         start = time.perf_counter()
         with Progress(f"read {args.function}", enabled=not args.no_progress) as progress:
-            data = client.read_many(function, max_bytes=args.max_bytes, progress=progress)
+            try:
+                data = client.read_many(function, max_bytes=args.max_bytes, progress=progress)
+            except TooMuchError:
+                most = counted(args.max_bytes, "byte")
+                raise CommandFailed(
+                    f"{args.function}: the device sends more than {most}; --max-bytes takes more",
+                    REMOTE,
+                ) from None
         took_s = time.perf_counter() - start
     if target is None:
         show_bytes(data)

@@ -319,7 +319,11 @@ def test_a_read_that_fails_leaves_the_file(run, url, tmp_path):
     target.write_bytes(b"old")
     assert run("read", url, "add", "-o", str(target)).code == 5
     assert run("read", url, "nope", "-o", str(target)).code == 2
-    assert run("read", url, "a2jGetProperties", "--max-bytes", "3", "-o", str(target)).code == 5
+    result = run("read", url, "a2jGetProperties", "--max-bytes", "3", "-o", str(target))
+    assert result.code == 5
+    assert result.err == (
+        "j2a: a2jGetProperties: the device sends more than 3 bytes; --max-bytes takes more\n"
+    )
     assert target.read_bytes() == b"old"
 
 
