@@ -28,7 +28,7 @@ from j2a.cli._exit import (
     is_of_a_file,
 )
 from j2a.cli._help import Formatter, fitted, url_list
-from j2a.cli._output import drop_output, finish_output, note, prepare_output, show, show_json
+from j2a.cli._output import drop_output, finish_output, note, prepare_output, show, show_json, show_text
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -56,9 +56,9 @@ class _Parser(argparse.ArgumentParser):
         url_help = self.get_default("url_help")
         return super().format_help() + (f"\n{fitted(url_help())}\n" if url_help else "")
 
-    def print_help(self, file: "SupportsWrite[str] | None" = None) -> None:
-        """Print the help; argparse itself would not tell when that fails."""
-        print(self.format_help(), end="", file=file)
+    def print_help(self, _file: "SupportsWrite[str] | None" = None) -> None:
+        """Print the help on standard output; argparse itself would not tell when that fails."""
+        show_text(self.format_help())
 
 
 def main(argv: Sequence[str] | None = None) -> int:

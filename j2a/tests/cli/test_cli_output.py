@@ -75,7 +75,7 @@ def test_an_error_keeps_its_exit_code_whatever_is_closed(words, way):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("words", ["--version", "list --json"])
+@pytest.mark.parametrize("words", ["--version", "list --json", "call --help", "sim avr --help"])
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
 def test_output_that_cannot_be_written_is_named(words):
     done = shell(f"PYTHONUNBUFFERED=1 j2a {words} > {FULL}")
