@@ -10,7 +10,7 @@ import contextlib
 import re
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from j2a_spec.nearest import did_you_mean
 
@@ -28,7 +28,15 @@ from j2a.cli._exit import (
     is_of_a_file,
 )
 from j2a.cli._help import Formatter, fitted, url_list
-from j2a.cli._output import drop_output, finish_output, note, prepare_output, show, show_json, show_text
+from j2a.cli._output import (
+    drop_output,
+    finish_output,
+    note,
+    prepare_output,
+    show,
+    show_json,
+    show_text,
+)
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -36,14 +44,28 @@ if TYPE_CHECKING:
 __all__ = ["EXIT_CODES", "main"]
 
 
+_LIKE_AN_OPTION: Final = re.compile(r"unrecognized arguments: (?:.* )?(-[^-\s]\S*).*", re.DOTALL)
+
+
 class _Parser(argparse.ArgumentParser):
     """Says how to get help when it refuses; ends the help with the URLs of the command, if any."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        # As of Python 3.14: of older ones -1e5 and -1,2 are options, though -1.5 is a value.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""
         if match := re.fullmatch(r"argument .*?(--[\w-]+): expected one argument", message):
             message += f"; one that begins with - is written as in {match[1]}=-1"
+        if self._takes_values and (match := _LIKE_AN_OPTION.fullmatch(message)):
+            message += f"; a value that begins with - stands behind --, as in: -- {match[1]}"
         raise UsageError(message, f"try: {self.prog} --help")
+
+    @property
+    def _takes_values(self) -> bool:
+        return any(one.metavar in ("VALUE", "DATA") for one in self._actions)
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
         # Of --size=-- older versions of Python make an empty list, of which no command knows.

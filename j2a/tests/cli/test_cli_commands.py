@@ -166,6 +166,8 @@ def test_values_of_structures_and_numbers_that_do_not_fit(run, demo):
     result = run("call", demo, "echoShapes", "slow", "abc,2", "1,2,3", "note")
     assert "write a number, such as 1.5" in result.err
     assert run("call", demo, "echoShapes", "slow", "--", "-1,2", "-1,2,3", "note").code == 0
+    result = run("call", demo, "echoShapes", "-2", "-1e2,-2", "-1,2,3", "note", "--json")
+    assert json.loads(result.out)["result"]["place"] == {"x": -100.0, "y": -2}
 
 
 def test_options_may_stand_between_the_words(run, url):
