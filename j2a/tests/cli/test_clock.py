@@ -94,6 +94,13 @@ def test_clocks_are_kept_right_for_so_long(run, board, other):
 
 
 @pytest.mark.parametrize("word", ["--discipline", "--watch"])
+def test_so_many_exchanges_are_made_first(run, board, device, word):
+    result = run("clock", board, word, "--rounds", "30", "--period", "5", "--seconds", "0.01")
+    assert (result.code, result.err) == (0, "")
+    assert sum(one[0] == c.CLOCK_EXCHANGE for one in device.requests) >= 30
+
+
+@pytest.mark.parametrize("word", ["--discipline", "--watch"])
 @pytest.mark.parametrize("answer", [b"", b"nonsense", bytes(255)])
 def test_a_board_that_answers_nonsense_is_told_once(run, word, answer):
     device = ClockedDevice()
