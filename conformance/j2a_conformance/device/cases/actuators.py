@@ -54,7 +54,8 @@ class Set(TransducerCase):
             for channel in spread(one):
                 self._replaced(board, one, channel)
                 self._far(board, one, channel)
-            self._replaced_together(board, one)
+            if fit(board, one) > 1:
+                self._replaced_together(board, one)
             if guarded:
                 board.write(one, c.TRANSD_WATCHDOG, before)
 
@@ -174,31 +175,41 @@ class Set(TransducerCase):
 
     @staticmethod
     def _replaced_together(board: Board, one: oracle.Transducer) -> None:
-        """Set all channels that fit for a time, and then some of them for another one."""
+        """Set all channels that fit for a time, and then some of them anew: at once, for a time
+        before that, and for one behind it.
+        """
         most = fit(board, one)
         parts = {(0, 1), (0, most), (most - 1, 1), (most // 2, most - most // 2), (0, most - 1)}
         for first, count in sorted(part for part in parts if part[1]):
-            early, late = ([settable(board, one) for _ in range(most)] for _ in range(2))
-            begin_us = board.time_us()
-            due_us = begin_us + DUE_US
-            later_us = due_us + DUE_US
-            board.write(one, c.TRANSD_SET, b"\0" + US.pack(due_us) + b"".join(early))
-            some = b"".join(late[first : first + count])
-            board.write(one, c.TRANSD_SET, bytes((first,)) + US.pack(later_us) + some)
-            is_in_time = board.time_us() < due_us
-            board.wait_until(later_us + LATER_US)
-            found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
-            for channel in range(most):
-                is_late = first <= channel < first + count
-                time_us, raw = found[channel]
-                if raw != (late if is_late else early)[channel]:
-                    text = f"channel {channel} of {one.name} is {raw.hex()}; {count} channels from "
-                    fail(text + f"{first} on were set anew for later", suspect=True)
-                if is_in_time and not (later_us if is_late else due_us) <= time_us:
-                    fail(f"channel {channel} of {one.name} was set at {time_us} us, too early")
-                if not is_late and time_us >= later_us:
-                    text = f"channel {channel} of {one.name} was set at {time_us} us, as others"
-                    fail(text, suspect=True)
+            for second_us in (0, DUE_US // 2, 2 * DUE_US):
+                Set._some(board, one, first, count, second_us)
+
+    @staticmethod
+    def _some(board: Board, one: oracle.Transducer, first: int, count: int, second_us: int) -> None:
+        most = fit(board, one)
+        values, others = ([settable(board, one) for _ in range(most)] for _ in range(2))
+        begin_us = board.time_us()
+        due_us = begin_us + DUE_US
+        anew_us = begin_us + second_us if second_us else 0
+        board.write(one, c.TRANSD_SET, b"\0" + US.pack(due_us) + b"".join(values))
+        some = b"".join(others[first : first + count])
+        board.write(one, c.TRANSD_SET, bytes((first,)) + US.pack(anew_us) + some)
+        is_in_time = board.time_us() < due_us
+        board.wait_until(max(due_us, anew_us) + LATER_US)
+        found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+        for channel in range(most):
+            is_anew = first <= channel < first + count
+            time_us, raw = found[channel]
+            if raw != (others if is_anew else values)[channel]:
+                text = f"channel {channel} of {one.name} is {raw.hex()}; {count} channels from "
+                fail(f"{text}{first} on were set anew for {anew_us} us", suspect=True)
+            if is_in_time and time_us < (max(anew_us, begin_us) if is_anew else due_us):
+                fail(f"channel {channel} of {one.name} was set at {time_us} us, too early")
+            # Those that are set before the others, whichever these are, are not set with them.
+            is_first = is_anew == (anew_us < due_us)
+            if is_in_time and is_first and time_us >= max(due_us, anew_us):
+                text = f"channel {channel} of {one.name} was set at {time_us} us, as others"
+                fail(text, suspect=True)
 
 
 class Watchdog(TransducerCase):
