@@ -307,13 +307,14 @@ class Watchdog(TransducerCase):
     def _each_silence(self, board: Board, one: oracle.Transducer, value: bytes) -> None:
         """Set the last channel only, and be silent; all must be safe, also if none was ever set.
 
-        The same again, without a write of WATCHDOG in between.
+        The same again, without a write of WATCHDOG in between, and once more without SET, too.
         """
         safe_value = safe(board, one)
         board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
-        for which in ("first", "second"):
+        for which in ("first", "second", "third"):
             for times in (1, 2, 4):  # as in `_expire`, but by the clock of the device
-                board.write(one, c.TRANSD_SET, bytes((one.channels - 1,)) + bytes(8) + value)
+                if which != "third":
+                    board.write(one, c.TRANSD_SET, bytes((one.channels - 1,)) + bytes(8) + value)
                 begin_us = board.time_us()
                 self._silence(board, times * self.LIMIT_MS * 2)
                 found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
