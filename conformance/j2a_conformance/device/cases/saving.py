@@ -39,11 +39,11 @@ def has_save(board: Board, one: oracle.Transducer) -> bool:
 
 class Saving(TransducerCase):
     """Saves the settings of each transducer, with right values and wrong ones, asks for SAVE until
-    it is SAVED, and meanwhile saves it and others.
+    it is SAVED, and meanwhile saves it and others; then saves each once more.
     """
 
     ID = "transducers.saving"
-    EXPECTATION = "SAVING, BUSY for a write meanwhile, and SAVED; the settings stay as they are."
+    EXPECTATION = "SAVING, BUSY for a write meanwhile, and SAVED, all of them; no setting changes."
     REQUIREMENTS = ("J2A-TRANS-008", "J2A-TRANS-009", "J2A-TRANS-028")
 
     def _judge(self, board: Board) -> None:
@@ -58,6 +58,12 @@ class Saving(TransducerCase):
             self._saved(board, one)
             if self._settings(board, one) != before:
                 fail(f"settings of {one.name} have changed when they were saved")
+        for is_again in (False, True):
+            if is_again:
+                for one in board.all:
+                    self._saved(board, one)
+            for one in board.all:
+                self._state(ask_save(board, one), one, c.TRANSD_SAVED)
 
     def _state(self, reply: Frame, one: oracle.Transducer, *states: int) -> int:
         if reply.opcode != c.RET_OK or len(reply.payload) != 1 or reply.payload[0] not in states:
