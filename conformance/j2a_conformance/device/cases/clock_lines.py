@@ -153,6 +153,8 @@ class Far(ClockCase):
         "J2A-CLOCK-015",
         "J2A-CLOCK-017",
     )
+    _MIDDLE_US: Final = 1 << 62
+    _BITS: Final = range(31, 62)  # of distances, up to all that there are
 
     def _judge(self, board: Board) -> None:
         board.step()
@@ -174,6 +176,11 @@ class Far(ClockCase):
                 board.wait(20_000)
         board.adjust(base=2**63 - 1)
         board.wait(100_000)
+        for bit in self._BITS:
+            for off in (1 << bit, -(1 << bit)):
+                board.step(self._MIDDLE_US)
+                board.adjust(off)
+                board.wait(20_000)
         board.step()
 
 
