@@ -4,6 +4,7 @@ Each is whole for a host that breaks the rule, and then it is handed over: the o
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import ClassVar
 
 from j2a_spec import constants as c
@@ -12,6 +13,7 @@ from j2a_spec.requirements import Level
 from j2a_conformance._judge import Judged, fail
 from j2a_conformance._model import Verdict
 from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._device import DEMO
 from j2a_conformance.host._dimensions import (
     LENGTHS,
     Broken,
@@ -25,10 +27,12 @@ from j2a_conformance.host._dimensions import (
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Sifs, spell
 
+from .limits import together
 from .received import behind_an_error
 from .sif import anchor, handed
 
 _RIGHT = b"right"
+_SECOND_MS = 100.0  # in which a host that makes two calls at once has sent both
 Kind = Callable[[int, int], Iterator[Broken]]
 
 
@@ -101,6 +105,36 @@ class Cut(_Replies):
     ID = "host.broken.cut"
     REQUIREMENTS = ("J2A-FRAME-007", "J2A-FRAME-009")
     KIND = cut_off
+
+
+class Together(HostCase):
+    """Sends broken replies of several lengths to two calls that wait together, if the host makes
+    them so; then the right replies.
+    """
+
+    ID = "host.broken.together"
+    EXPECTATION = "Neither call ends by a broken reply; both get their right ones."
+    REQUIREMENTS = ("J2A-SUM-003", "J2A-STUFF-004", "J2A-FRAME-007", "J2A-FRAME-009")
+    LEVEL = "core"
+    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+    _LENGTHS = (0, 1, 7, 64, 254, 255)
+
+    def _run(self, host: Host) -> None:
+        together(host, "aa", "bb")
+        waiting = host.requests(2, _SECOND_MS)
+        kinds = (wrong_sums, escape_ff, interrupted, cut_off)
+        wire = b"".join(
+            one.wire
+            for kind in kinds
+            for request in waiting
+            for one in kind(c.SOF, request.seq, self._LENGTHS)
+        )
+        host.flood("broken replies", wire)
+        for request in waiting:
+            host.reply(request, 1, _RIGHT)
+        if len(waiting) == 1:
+            host.reply(host.request(), 1, _RIGHT)
+        host.outcome(" ; ".join([f"reply 1 {spell(_RIGHT)}"] * 2))
 
 
 class Each(HostCase):

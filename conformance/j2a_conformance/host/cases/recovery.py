@@ -25,7 +25,7 @@ def noise(rng: random.Random, size: int, markers: bool) -> bytes:
 
 class Noise(HostCase):
     """Sends 1 to 256 bytes that start no frame, each value as the last of them, before a reply and
-    behind it, in one piece; some after an error.
+    behind it, with a SIF behind half of them, in one piece; some after an error.
     """
 
     ID = "host.recovery.noise"
@@ -40,7 +40,8 @@ class Noise(HostCase):
             junk = bytes(rng.choices(clean, k=number)) + clean[number * 37 % len(clean) :][:1]
             request = host.asked() if number % 32 else behind_an_error(host)
             code = number % (c.RET_MAX + 1)
-            host.send(junk + request.reply(code, b"reply") + junk[number // 2 :])
+            sif = host.sif(0x30, junk[:7]) if number % 2 else b""
+            host.send(junk + request.reply(code, b"reply") + junk[number // 2 :] + sif)
             host.replied(request)
             host.replied_with(code, b"reply")
 

@@ -284,6 +284,38 @@ class StalledTogether(_Stalled):
         host.outcome()
 
 
+class StalledWaiting(_Stalled):
+    """Leaves 256 calls without an answer, one of the first of which goes on waiting, and has the
+    host make 20 more; then answers this one, and what comes behind it.
+    """
+
+    ID = "host.seq.stalled-waiting"
+    EXPECTATION = "No request has the seq of the call that waits, which gets its reply."
+    REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-003", "J2A-SEQ-009")
+
+    def _run(self, host: Host) -> None:
+        known = (c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")
+        host.become(replace(DEMO, properties=known))
+        brief_ms = max(host.silence_ms // 60, 1)
+        calls = f"call @6 ff {20 * host.limit_ms}", f"repeat {_SEQS + 20} call @6 73 {brief_ms}"
+        host.job("together " + " ; ".join(calls))
+        sent = host.requests(2, _BARRIER_MS)
+        is_together = len(sent) == 2
+        while is_together and len(sent) < _SEQS:
+            sent += host.requests(1, _BARRIER_MS) or [host.request(6)]
+        if is_together:
+            barrier(host, sent[-1], _BARRIER_MS)
+        waiting = next(request for request in sent if request.payload != b"s")
+        host.reply(waiting, 1, b"mine")
+        while (request := host.request_or_end()) is not None:
+            host.reply(request, 1, b"next")
+        first = host.outcomes(2)[0]
+        if first.whole != "reply 1 6d696e65":
+            fail(f"the host reports `{first.whole}` of the call that waited (J2A-SEQ-004)")
+        if not is_together:
+            inform("the host makes one call at a time")
+
+
 class StalledLate(_Stalled):
     """Leaves calls without an answer until no seq is free, but for the tenth, which it answers when
     it has 200; then answers all after that, and the barrier at last.
