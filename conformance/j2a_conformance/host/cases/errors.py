@@ -9,11 +9,14 @@ from j2a_spec.oracle import Frame, encode
 
 from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO, PING
+from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, pattern
 from j2a_conformance.host._dimensions import LENGTHS, content, frame
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Request, spell
 from j2a_conformance.wire._expected import DAMAGE
+
+from .limits import together
+from .many import spelt
 
 _CODES = tuple(sorted(c.ERRORS))
 _UNANSWERED = 4  # times the limit of a call that is not answered, for three of them
@@ -125,7 +128,9 @@ class Foreign(HostCase):
 
 
 class Reserved(HostCase):
-    """Answers with the reserved codes 0xF1 and 0xF5 to 0xFE, with payloads and without."""
+    """Answers with the reserved codes 0xF1 and 0xF5 to 0xFE, with payloads and without, calls alone
+    and the first of two that take turns.
+    """
 
     ID = "host.error.reserved"
     EXPECTATION = "The host reports that the device breaks the protocol: no result, no error reply."
@@ -137,6 +142,13 @@ class Reserved(HostCase):
             for payload in (b"", b"\x01\x00", content(code, 1)):
                 host.reply(host.asked(), code, payload)
                 host.outcome("failed")
+            together(host, "01", "02")
+            first = host.request()
+            host.reply(first, code, b"")
+            host.reply(host.request(), 1, b"other")
+            parts = [part.word for part in host.outcomes(2)]
+            if parts != (due := ["failed", "reply"][:: 1 if first.payload == b"\x01" else -1]):
+                fail(f"the calls ended as {parts}, not {due}, behind the code 0x{code:02X}")
         host.reply(host.asked(), 0xEF, b"next")
         host.replied_with(0xEF, b"next")
 
@@ -228,3 +240,29 @@ class AfterErrors(HostCase):
         host.outcome("error 243", f"reply 1 {spell(b'second')}")
         host.reply(host.asked(), 2, b"next")
         host.replied_with(2, b"next")
+
+
+class HintTransfers(HostCase):
+    """Answers the first, the second and the last request of reads and writes by the errors 0xF2,
+    0xF3 and 0xF4, with its reply behind.
+    """
+
+    ID = "host.error.hint-transfers"
+    EXPECTATION = "The transfer goes on, or ends by an error that does not say it was not executed."
+    REQUIREMENTS = ("J2A-ERR-010",)
+    LEVEL = "many"
+    DEVICE = replace(DEMO, content=pattern(600))
+
+    def _run(self, host: Host) -> None:
+        for code, job in product(sorted(DAMAGE), (f"read {FETCH}", f"write {STORE} {spelt(602)}")):
+            for place in range(3):
+                host.job(f"{job} {host.limit_ms}")
+                number = 0
+                while (request := host.request_or_end()) is not None:
+                    reply = request.reply(*host.device.answer(request.opcode, request.payload))
+                    hint = request.reply(code, b"\x04\x00") if number == place else b""
+                    host.send(hint + reply)
+                    host.replied(request)
+                    number += 1
+                outcome = host.outcome()
+                Hint.judge(outcome.text, outcome.fate)
