@@ -36,9 +36,12 @@ def call_by_name(host: Host, name: str) -> None:
 
 
 def call_by_opcode(host: Host) -> None:
-    """Have the host call a function by its opcode."""
-    host.reply(host.asked(b"o"), 4, b"opcode")
-    host.replied_with(4, b"opcode")
+    """Have the host call a function by its opcode, with payloads of several lengths."""
+    opcode = host.device.opcode(PING)
+    for size in (1, c.MIN_ROOM, c.MIN_ROOM + 1, c.MAX_PAYLOAD):
+        host.job(f"call @{opcode} {size}*6f {host.limit_ms}")
+        host.reply(host.request(opcode, b"o" * size), 4, b"opcode")
+        host.replied_with(4, b"opcode")
 
 
 class Names(HostCase):
