@@ -1,6 +1,7 @@
 """Calls at once and j2a.rxbuf (J2A-LIMIT-003); long payloads and j2a.room (J2A-LIMIT-007)."""
 
 from dataclasses import replace
+from itertools import product
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
@@ -11,6 +12,7 @@ from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, pattern, properties_content
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Request, spell
+from j2a_conformance.wire._expected import DAMAGE
 
 from .many import next_chunk, reply
 
@@ -35,6 +37,38 @@ def serve(host: Host, count: int, room: int) -> None:
             fail(f"{len(waiting)} requests of {size} bytes wait together, {room} are announced")
         request = waiting.pop(0)
         host.reply(request, 1, request.payload)
+
+
+class Hinted(HostCase):
+    """Answers one of two calls that fill j2a.rxbuf by the errors 0xF2, 0xF3 and 0xF4 while a third
+    one waits for its turn; then all three.
+    """
+
+    ID = "host.limits.hinted"
+    EXPECTATION = "The third request comes only behind a reply, unless its error has ended a call."
+    REQUIREMENTS = ("J2A-LIMIT-003", "J2A-ERR-010")
+    LEVEL = "properties"
+    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "30")))
+
+    def _run(self, host: Host) -> None:
+        for code, place in product(sorted(DAMAGE), range(2)):
+            together(host, "8*61", "8*62", "8*63")
+            waiting = host.waiting(2, _LONG_QUIET_MS)
+            if len(waiting) < 2:
+                host.reply(waiting[0], 1, waiting[0].payload)
+                serve(host, 2, host.device.rxbuf)
+                host.outcomes(3)
+                inform("the host makes one call at a time")
+            hinted = waiting[place]
+            host.send(hinted.reply(code, b"\x04\x00"))
+            early = host.requests(1, _QUIET_MS)
+            for request in (*waiting, *early):
+                host.reply(request, 1, request.payload)
+            while (late := host.request_or_end()) is not None:
+                host.reply(late, 1, late.payload)
+            outcome = host.outcomes(3)[hinted.payload[0] - 0x61]
+            if early and outcome.word != "error":
+                fail(f"a third request came while two calls waited behind the code 0x{code:02X}")
 
 
 class OneByOne(HostCase):

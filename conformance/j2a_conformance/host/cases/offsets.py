@@ -49,13 +49,20 @@ class OldRead(_OldRead):
 
 
 class NoSpec(_OldRead):
-    """Has the host read 700 bytes of such a device with properties, but without j2a.spec."""
+    """Has the host read 700 bytes of such devices with properties, but without j2a.spec."""
 
     ID = "host.offsets.properties-without-spec"
     LEVEL = "properties"
     DEVICE = replace(
         DEMO, content=pattern(_SIZE), offset_mask=0xFF, properties=(("name", "old"), ("x", "y"))
     )
+
+    def _run(self, host: Host) -> None:
+        super()._run(host)
+        others = ((c.PROP_CAPS, c.CAP_BOOT), (c.PROP_ROOM, "200"), (c.PROP_RXBUF, "600"))
+        for some in (*((one,) for one in others), others):
+            host.become(replace(self.DEVICE, properties=some))
+            super()._run(host)
 
 
 class NoMap(_OldRead):
