@@ -269,8 +269,8 @@ class Nonces(_ClockCase):
 
 
 class NotAnnounced(_ClockCase):
-    """Is a board that has a2jClock, but announces no capability, or tokens that resemble that of
-    the clock.
+    """Is a board that has a2jClock, but announces no capability, the others, or tokens that
+    resemble that of the clock.
     """
 
     ID = "host.clock.not-announced"
@@ -280,7 +280,8 @@ class NotAnnounced(_ClockCase):
     def _run(self, host: Host) -> None:
         self._exchange(_Scripted(host), "exchanged")
         known = tuple(p for p in BOARD.properties or () if p[0] != c.PROP_CAPS)
-        for caps in (None, *resembling(c.CAP_CLOCK)):
+        others = f"{c.CAP_INTERFACE} {c.CAP_BOOT} {c.CAP_TRANSDUCERS}"
+        for caps in (None, others, *others.split(" "), *resembling(c.CAP_CLOCK)):
             more = () if caps is None else ((c.PROP_CAPS, caps),)
             host.become(replace(BOARD, properties=known + more))
             for job in ("clock-exchange", "clock-measure", "clock-sync"):

@@ -133,6 +133,9 @@ class Values(HostCase):
             points = [[n + 0.5, -n], [-n - 0.25, n]]
             mode = (0, 1, -2)[n % 3]
             typed(host, "shapes", [mode, points, text], [points[1], [mode, 1], text])
+        for x in (0.0, -0.0, 2.0**-149, -(2.0**-126), (2 - 2**-23) * 2.0**127):
+            typed(host, "wide", [1, -1, x, x], [-x, -x, -1, 1])
+            typed(host, "shapes", [1, [[x, 1], [-x, 0]], ""], [[x, 0], [1, 1], ""])
         words = [(0x12ED + 0x1111 * n) % 65536 for n in range(20)]
         typed(host, "words", [words], [words])
         for size in _SIZES:  # jobs and outcomes have room for so many digits
