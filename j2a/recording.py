@@ -371,7 +371,9 @@ class Recorder:
 
     def _start(self, file: WholeFile) -> None:
         """Have the package write, from the end of the file on."""
-        self._writer = check_package().Writer(file, chunk_size=_CHUNK_BYTES)
+        writer = check_package().Writer
+        # Boards and channels are outside the chunks, each of which has a checksum of its own.
+        self._writer = writer(file, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
         self._has_index = not file.tell()
         if self._has_index:
             self._writer.start(profile="ros2", library="j2a")
