@@ -389,6 +389,18 @@ def test_a_birth_that_makes_no_sense_is_no_bridge(caplog, payload):
     assert not caplog.records
 
 
+def test_births_without_end_are_neither_kept_nor_answered(monkeypatch, caplog):
+    """Any client of the broker may publish them."""
+    sink, told = sink_of(1883), []
+    monkeypatch.setattr(sink, "_tell_birth", lambda: told.append(1))
+    for number in range(1000):
+        message = paho.MQTTMessage(topic=f"j2a/NBIRTH/{HOST}".encode())
+        message.payload = json.dumps({"bridge": f"{number}" + "x" * 1000}).encode()
+        sink._on_message(None, None, message)
+    assert len(told) == len(sink._namesakes) == len(caplog.records) < 100
+    assert max(map(len, sink._namesakes)) == len(sink._id)
+
+
 def test_the_birth_of_a_bridge_that_has_ended_is_no_other_bridge(broker, listener, caplog):
     for _ in range(2):
         sink = sink_of(broker.port)

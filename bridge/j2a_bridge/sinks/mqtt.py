@@ -32,6 +32,9 @@ _WAITING: Final = 1000
 _TAKEN_S: Final = 15.0
 _MOST_UNSENT: Final = 100
 """So many samples are given to paho, which has no limit for them, before they must be sent."""
+_ID_CHARACTERS: Final = 16
+_MOST_NAMESAKES: Final = 16
+"""So many bridges of the same name are told apart; who publishes more births is no bridge."""
 _QUEUE_FULL: Final = 15
 """As paho calls it MQTT_ERR_QUEUE_SIZE: a message was not taken."""
 _logger = logging.getLogger("j2a.bridge")
@@ -89,7 +92,7 @@ class MqttSink(Sink):
         # Those of which this connection has told.
         self._told: set[str] = set()
         self._given: list[Any] = []  # samples, since all were sent
-        self._id = secrets.token_hex(8)
+        self._id = secrets.token_hex(_ID_CHARACTERS // 2)
         self._namesakes: set[str] = set()  # bridges of our name, which were told of us
 
     # ------------------------------------------------------------------ life
@@ -178,11 +181,13 @@ class MqttSink(Sink):
     def _meet(self, message: Any) -> None:
         """Notice that another bridge has our name, and have it notice us."""
         try:
-            other = str(json.loads(message.payload)["bridge"])
+            other = str(json.loads(message.payload)["bridge"])[:_ID_CHARACTERS]
         except (ValueError, RecursionError, LookupError, TypeError):
             return
         # One that is retained may be of a bridge that has ended.
         if message.retain or other in (self._id, *self._namesakes):
+            return
+        if len(self._namesakes) >= _MOST_NAMESAKES:
             return
         self._namesakes.add(other)
         _logger.warning(
