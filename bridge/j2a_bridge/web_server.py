@@ -290,29 +290,26 @@ class PageServer:
 
     async def _watch_board(self, name: str, client: j2a.AsyncClient) -> None:
         """Note the SIFs of a board that are no samples, and its debug text, while it is here."""
-        while True:
-            try:
-                descriptors = (await client.transducers()).descriptors
-                break
-            except j2a.J2AError:
-                await asyncio.sleep(_DEBUG_S)
-            if not self._is_watched(name, client):
-                return
-        samples = {one.id for one in descriptors.transducers} if descriptors else set()
+        ids: frozenset[int] | None = None  # of transducers, whose SIFs are samples
+
+        async def learn(_restart: object = None) -> None:
+            nonlocal ids
+            with contextlib.suppress(j2a.J2AError):  # it is asked again
+                known = (await client.transducers()).descriptors
+                ids = frozenset(one.id for one in known.transducers) if known else frozenset()
 
         def take(sif: j2a.Sif) -> None:
-            if sif.opcode not in samples:
+            if ids is not None and sif.opcode not in ids:
                 text = f"0x{sif.opcode:02x}  {sif.payload.hex(' ') or 'no payload'}"
                 self._sink.note(name, "SIF", text)
 
+        client.on_restart(learn)  # perhaps with other firmware
         client.on_sif(None, take)
         while self._is_watched(name, client):
-            try:
+            await learn()
+            text = ""
+            with contextlib.suppress(j2a.J2AError):  # also where it has none
                 text = (await client.read_debug()).strip()
-            except (j2a.UnknownFunction, j2a.OpcodeRefused):
-                return  # it has no debug text
-            except j2a.J2AError:
-                text = ""
             if text:
                 self._sink.note(name, "debug", text)
             await asyncio.sleep(_DEBUG_S)

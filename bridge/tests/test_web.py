@@ -25,6 +25,7 @@ from j2a_bridge.web_server import PageServer, _Page
 import j2a
 from j2a.recording import Recorder, Recording
 from j2a.types.coding import PythonTypes
+from j2a.types.descriptors import parse_descriptors
 from j2a.types.samples import SampleCodec
 
 from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, free_port, served, until
@@ -849,6 +850,49 @@ def test_a_read_of_debug_text_that_fails_does_not_end_the_log(monkeypatch):
             await next_of(page, "log", lambda about: about["lines"])
 
     asyncio.run(asyncio.wait_for(work(), PATIENCE_S))
+
+
+def test_the_log_follows_a_board_that_restarts_with_other_firmware():
+    """What was a sample is one no more, what was none is one, and now there is debug text."""
+    firmware = ["\nsensor quad 7 1 u8\n", ""]
+
+    class Client:
+        is_open = True
+
+        async def transducers(self):
+            return SimpleNamespace(descriptors=parse_descriptors(firmware[0]))
+
+        async def read_debug(self):
+            if firmware[1]:
+                return firmware[1]
+            raise j2a.UnknownFunction("the device has no function 'a2jDebug'")
+
+        def on_sif(self, _opcodes, handler):
+            self.take = handler
+
+        def on_restart(self, handler):
+            self.restarted = handler
+
+    async def work():
+        client, noted = Client(), []
+        sink = SimpleNamespace(note=lambda *line: noted.append(line[1:]))
+        server = PageServer(sink, 0)
+        server._watched["robot"] = client
+        watch = asyncio.create_task(server._watch_board("robot", client))
+        await asyncio.sleep(0.05)
+        client.take(j2a.Sif(7, b"\1", 0, 0))
+        client.take(j2a.Sif(8, b"\2", 1, 0))
+        firmware[:] = "\nsensor quad 8 1 u8\n", "all is well"
+        await client.restarted(None)
+        client.take(j2a.Sif(7, b"\3", 0, 0))
+        client.take(j2a.Sif(8, b"\4", 1, 0))
+        await until(lambda: any(kind == "debug" for kind, _ in noted))
+        client.is_open = False
+        await watch
+        return noted
+
+    noted = asyncio.run(asyncio.wait_for(work(), PATIENCE_S))
+    assert [text for kind, text in noted if kind == "SIF"] == ["0x08  02", "0x07  03"]
 
 
 def lines_in(lines):
