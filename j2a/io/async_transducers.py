@@ -61,11 +61,14 @@ class _Async(RemoteTransducer):
     async def save(self, timeout: float = SAVE_S) -> None:
         """Have the device keep the settings of now without power; `Sensor.save` for asyncio."""
         client = self._client
-        end = client.now() + check_timeout(timeout)
+        began = client.now()
+        limits = client._limits(None, check_timeout(timeout), began)
         value: bytes | None = SAVE
         while value is not None:
-            reply = await client._call_transducer(partial(self._request, c.TRANSD_SAVE, value))
-            value = self._next_save(value, reply, client.now() >= end)
+            ask = client._ask_transducer(partial(self._request, c.TRANSD_SAVE, value))
+            reply = await client._drive(ask, limits)
+            is_over = client.now() - began + SAVE_POLL_S >= timeout
+            value = self._next_save(value, reply, is_over)
             if value is not None:
                 await asyncio.sleep(SAVE_POLL_S)
 

@@ -71,11 +71,14 @@ class _Blocking(RemoteTransducer):
         Raises: as `Client.call`; FunctionFailed when the device keeps none, or is still busy.
         """
         client = self._client
-        end = client.now() + check_timeout(timeout)
+        began = client.now()
+        limits = client._limits(None, check_timeout(timeout), began)
         value: bytes | None = SAVE
         while value is not None:
-            reply = client._call_transducer(partial(self._request, c.TRANSD_SAVE, value))
-            value = self._next_save(value, reply, client.now() >= end)
+            ask = client._ask_transducer(partial(self._request, c.TRANSD_SAVE, value))
+            reply = client._drive(ask, limits)
+            is_over = client.now() - began + SAVE_POLL_S >= timeout
+            value = self._next_save(value, reply, is_over)
             if value is not None:
                 time.sleep(SAVE_POLL_S)
 

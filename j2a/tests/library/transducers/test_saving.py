@@ -3,6 +3,7 @@
 import errno
 import os
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -149,6 +150,31 @@ class TestSaving:
             pytest.raises(j2a.FunctionFailed, match="not saved"),
         ):
             client.transducers["a"].save(timeout=0.1)
+
+    def test_its_limit_holds_for_a_board_that_does_not_answer(self):
+        """Also where that is shorter than the limit of a call."""
+
+        def answer(_payload):
+            time.sleep(1)
+            return 0, b"\2"
+
+        with talking(ONE_SENSOR, answer) as made, linked(made) as client:
+            client._timeout = 30.0
+            began = time.monotonic()
+            with pytest.raises(j2a.CallTimeout, match=r"time limit of 0.1 s for the whole is over"):
+                client.transducers["a"].save(timeout=0.1)
+            assert time.monotonic() - began < 0.9
+
+    @in_event_loop
+    async def test_its_limit_holds_for_asyncio_too(self):
+        def answer(_payload):
+            time.sleep(1)
+            return 0, b"\2"
+
+        with served(talking(ONE_SENSOR, answer)) as url:
+            async with await j2a.aconnect(url, timeout=30.0) as board:
+                with pytest.raises(j2a.CallTimeout, match=r"limit of 0.1 s for the whole is over"):
+                    await board.transducers["a"].save(timeout=0.1)
 
     @in_event_loop
     async def test_asyncio(self, path):
