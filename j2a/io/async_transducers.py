@@ -13,7 +13,15 @@ from j2a_spec import constants as c
 
 from j2a.errors import CallTimeout, LinkError, WrongArgument
 from j2a.events import Reading, Sample
-from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteSensor, RemoteTransducer
+from j2a.io.transducers import (
+    SAVE,
+    SAVE_POLL_S,
+    SAVE_S,
+    SETTINGS,
+    RemoteSensor,
+    RemoteTransducer,
+    all_checked,
+)
 from j2a.protocol.arguments import check_timeout
 from j2a.types.arrays import Batch
 from j2a.types.samples import pack_time
@@ -39,9 +47,9 @@ class _Async(RemoteTransducer):
     async def configure(self, **settings: Any) -> None:
         """Change settings; `Sensor.configure` for asyncio."""
         requests = [partial(self._pack, name, value) for name, value in settings.items()]
-        for request in requests:
-            request()
-        for request in requests:
+        if requests:
+            await self._ask(lambda: all_checked(requests))
+        for request in requests[1:]:
             await self._ask(request)
 
     async def setting(self, name: str) -> Any:

@@ -166,6 +166,11 @@ class SampleSource:
                 self._before = self._known.by_name
             return self._known
 
+    @property
+    def is_known(self) -> bool:
+        """The device has said what it has, since its last restart as far as that is known."""
+        return self._device.asked_for_transducers
+
     def names(self) -> list[str]:
         """Return the names of the transducers, as the device lists them."""
         return list(self._load().by_name)

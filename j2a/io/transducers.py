@@ -8,7 +8,7 @@ found by its name, so that it stays the same when the device restarts.
 import math
 import struct
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, Final, TypeVar
 
@@ -45,6 +45,7 @@ __all__ = [
     "RemoteSensor",
     "RemoteTransducer",
     "Transducers",
+    "all_checked",
 ]
 
 _US: Final = 1_000_000
@@ -103,9 +104,14 @@ class RemoteTransducer:
         return self._checked(self._source.codec(self.name))
 
     def _checked(self, codec: SampleCodec | None) -> SampleCodec:
-        if codec is None:
-            raise UnknownTransducer(f"{self._url} has no transducer {self.name!r} any more")
-        return codec
+        if codec is not None:
+            return codec
+        if not self._source.is_known:
+            raise UnknownTransducer(
+                f"whether {self._url} has the transducer {self.name!r} is not known: it may have "
+                "restarted, and has not yet said what it has"
+            )
+        raise UnknownTransducer(f"{self._url} has no transducer {self.name!r} any more")
 
     @property
     def descriptor(self) -> Transducer:
@@ -434,3 +440,9 @@ class Transducers(Mapping[str, _TransducerT]):
 
     def __repr__(self) -> str:
         return f"<j2a transducers: {', '.join(self._known) or 'none'}>"
+
+
+def all_checked(requests: Sequence[Callable[[], bytes]]) -> bytes:
+    """Return the first request, but only where all can be made (J2A-TRANS-025)."""
+    first, *_ = [request() for request in requests]
+    return first

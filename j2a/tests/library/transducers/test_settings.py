@@ -1,6 +1,9 @@
 """Settings and enumerations, as the host reads and writes them."""
 
+import asyncio
+import contextlib
 import math
+import struct
 import threading
 from decimal import Decimal
 
@@ -8,10 +11,11 @@ import pytest
 from j2a_spec import constants as c
 
 import j2a
-from j2a.tests.library.support import PATIENCE_S, linked
+from j2a.tests.library.support import PATIENCE_S, linked, served
+from j2a.tests.library.test_aio import in_event_loop
 from j2a.types.transds_file import read_transds
 
-from .boards import FILE, make_device, talking
+from .boards import FILE, ONE_SENSOR, make_device, talking
 
 MOODS = """
 J2A_ENUM(mood, u8, (calm, 1), (alert, 2), (asleep, 254))
@@ -94,6 +98,31 @@ class TestEnumerations:
         gear.watchdog = 0.01
         assert moved.wait(PATIENCE_S)
         assert got == [1]
+
+
+class HesitantBoard(j2a.Device):
+    """A board that restarts, and for a while does not say what sensors it has."""
+
+    def __init__(self):
+        super().__init__({"j2a.caps": "transducers"}, boot=True)
+        self._answers = threading.Event()
+        self._answers.set()
+        self._table.add_content(c.GET_TRANSDS, self._describe)
+        self._table.add_call(c.TRANSD, lambda payload: (0, payload[2:]))
+
+    def _describe(self):
+        assert self._answers.wait(PATIENCE_S)
+        return ONE_SENSOR
+
+    @contextlib.contextmanager
+    def hesitating(self):
+        self._answers.clear()
+        [connection] = self._connections
+        connection.send_sif(c.BOOT, struct.pack("<BHI", 0, 1, 0))
+        try:
+            yield
+        finally:
+            self._answers.set()
 
 
 class TestSettings:
@@ -220,6 +249,33 @@ class TestSettings:
 
         monkeypatch.setattr(type(quad), name, interrupted)
         assert quad.read()[0].value is not None
+
+    @pytest.mark.requirement("J2A-BOOT-005")
+    def test_a_board_that_did_not_describe_its_sensors_after_a_restart_is_asked_again(self):
+        """That nothing is known of them does not mean that it has none any more."""
+        told, device = threading.Event(), HesitantBoard()
+        with linked(device, timeout=0.2) as board:
+            sensor = board.transducers["a"]
+            board.on_restart(lambda _: told.set())
+            with device.hesitating():
+                assert told.wait(PATIENCE_S)
+                with pytest.raises(j2a.UnknownTransducer, match="'a' is not known"):
+                    assert sensor.channels
+            board._timeout = PATIENCE_S
+            sensor.period = 3
+            assert sensor.channels == 1
+
+    @in_event_loop
+    async def test_asyncio_asks_it_again_too(self):
+        told, device = asyncio.Event(), HesitantBoard()
+        with served(device) as url:
+            async with await j2a.aconnect(url, timeout=0.2) as board:
+                sensor = board.transducers["a"]
+                board.on_restart(lambda _: told.set())
+                with device.hesitating():
+                    await asyncio.wait_for(told.wait(), PATIENCE_S)
+                board._timeout = PATIENCE_S
+                await sensor.configure(period=3)
 
     def test_a_newest_sample_is_read(self, device, board):
         device.sense("quad", 0, 12)
