@@ -389,8 +389,10 @@ async def _open(url: str, options: dict[str, object]) -> "Transport":
     except RuntimeError as error:
         raise OpenFailed(f"j2a opener: {error}; this process or system has too many") from None
     executor.shutdown(wait=False)
+    waiting = asyncio.wrap_future(opening)
     try:
-        return await asyncio.shield(asyncio.wrap_future(opening))
+        return await asyncio.shield(waiting)
     except asyncio.CancelledError:
+        waiting.add_done_callback(asyncio.Future.exception)  # or asyncio logs that nobody took it
         opening.add_done_callback(lambda done: done.exception() or done.result().close())
         raise

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import functools
+import gc
 import math
 import struct
 import threading
@@ -383,6 +384,31 @@ class TestConnecting:
             pytest.raises(j2a.CallTimeout, match="no device answered"),
         ):
             await j2a.aconnect(listener.url, boot_time=0.3)
+
+    @in_event_loop
+    async def test_a_link_that_fails_after_the_wait_was_cancelled_is_not_told_of(self, monkeypatch):
+        began, goes_on = threading.Event(), threading.Event()
+
+        def fail(*_args):
+            began.set()
+            assert goes_on.wait(PATIENCE_S)
+            raise j2a.OpenFailed("nothing is there")
+
+        monkeypatch.setattr("j2a.aio.open_transport", fail)
+        told = []
+        asyncio.get_running_loop().set_exception_handler(lambda _loop, about: told.append(about))
+        connecting = asyncio.ensure_future(j2a.aconnect("tcp://127.0.0.1:1"))
+        await asyncio.to_thread(began.wait, PATIENCE_S)
+        connecting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await connecting
+        goes_on.set()
+        while any(one.name.startswith("j2a opener") for one in threading.enumerate()):
+            await asyncio.sleep(0.001)
+        for _ in range(3):
+            await asyncio.sleep(0)
+            gc.collect()
+        assert told == []
 
     @in_event_loop
     async def test_a_link_that_opens_after_the_wait_was_cancelled_is_closed(self):
