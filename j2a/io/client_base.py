@@ -443,8 +443,12 @@ class ClientBase(Generic[_StreamT]):
         actuator: Callable[..., _TransducerT],
     ) -> Transducers[_TransducerT]:
         """Return the transducers of the device."""
-        source, client = self._source, weakref.ref(self)
-        why = self._device.transducers_problem or "the device describes no transducers"
+        source, client, device = self._source, weakref.ref(self), self._device
+        why = device.transducers_problem or (
+            "the device describes no transducers"
+            if device.asked_for_transducers
+            else "what the device has is not known yet; use await board.transducers()"
+        )
 
         def made(name: str) -> _TransducerT:
             codec = source.codec(name)
@@ -452,7 +456,7 @@ class ClientBase(Generic[_StreamT]):
             return (sensor if is_sensor else actuator)(name, source, client, self._url)
 
         known = {name: made(name) for name in source.names()}
-        return Transducers(known, why, self._device.descriptors)
+        return Transducers(known, why, device.descriptors)
 
     @property
     def _knows_transducers(self) -> bool:

@@ -273,6 +273,10 @@ class TestSettings:
                 sensor = board.transducers["a"]
                 board.on_restart(lambda _: told.set())
                 with device.hesitating():
+                    while "a" in board.transducers:
+                        await asyncio.sleep(0.001)
+                    with pytest.raises(j2a.UnknownTransducer, match="'a': what .* not known yet"):
+                        assert board.transducers["a"]
                     await asyncio.wait_for(told.wait(), PATIENCE_S)
                 board._timeout = PATIENCE_S
                 await sensor.configure(period=3)
