@@ -45,6 +45,8 @@ DISTROS: Final = {
 _NS: Final = 1_000_000_000
 _NS_PER_US: Final = 1000
 _TIME: Final = "builtin_interfaces/msg/Time"
+_MOST_STORES: Final = 256
+"""So many descriptors are remembered with their types: a board may restart with ever other ones."""
 _UNKNOWN: Final = -1.0
 _logger = logging.getLogger("j2a.bridge")
 
@@ -93,6 +95,8 @@ class RosMessages:
             for name, text in texts.items():
                 types |= get_types_from_msg(text, f"{PACKAGE}/msg/{name}")
             found.register(types)
+            for oldest in list(self._stores)[:-_MOST_STORES]:
+                self._stores.pop(oldest, None)
         return found
 
     def type_of(self, topic: Topic) -> str:

@@ -1,8 +1,10 @@
 """Messages of ROS: their types, their bytes, and which standard ones a sensor is published as."""
 
+import gc
 import itertools
 import math
 import struct
+import weakref
 from collections.abc import Container
 from concurrent.futures import Future
 from functools import cache
@@ -10,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from j2a_bridge import ros_messages
 from j2a_bridge.actuators import FLOATS, _watched, set_by_command, set_by_own
 from j2a_bridge.config import MESSAGES
 from j2a_bridge.ros_messages import RosMessages
@@ -86,6 +89,17 @@ def test_the_bytes_of_a_sample(distro: str, golden: str) -> None:
     data = message.pack(update_of(topic, payload))
     assert data is not None
     assert data.hex() == golden
+
+
+def test_descriptors_without_end_do_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A board may restart with other ones again and again."""
+    monkeypatch.setattr(ros_messages, "_MOST_STORES", 4)
+    ros = RosMessages("humble")
+    topics = [topic_of(f"SENSOR(s{n}, 0, s{n}, M, 1, u8, none)") for n in range(10)]
+    stores = weakref.WeakSet(ros.store_of(topic.descriptors) for topic in topics)
+    gc.collect()
+    assert len(stores) <= 4
+    assert ros.type_of(topics[0]) in ros.store_of(topics[0].descriptors).types
 
 
 def test_the_hash_of_a_type_of_ros2_is_the_known_one() -> None:

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
+from weakref import WeakKeyDictionary
 
 import j2a
 from j2a import LocalError
@@ -291,8 +292,8 @@ class _Dds:
         self.Qos, self.Policy, self.Listener = qos.Qos, qos.Policy, core.Listener
         self.DDSException = core.DDSException
         self._wait = util.duration(milliseconds=100)
-        self._kinds: dict[tuple[int, str], Any] = {}
-        self._stores: list[Any] = []  # so that their ids stay theirs
+        # By store and name; stores of boards that are gone are forgotten.
+        self._kinds: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
 
     def sensor_qos(self, user_data: bytes) -> Any:
         """Return the quality of ROS 2's sensor data."""
@@ -331,10 +332,9 @@ class _Dds:
             store: of types.
             name: such as "sensor_msgs/msg/Range".
         """
-        key = id(store), name
-        found = self._kinds.get(key)
+        kinds = self._kinds.setdefault(store, {})
+        found = kinds.get(name)
         if found is None:
-            self._stores.append(store)
             package, _, short = name.split("/")
             fields = {
                 field: self._field(store, kind) for field, kind in store.fielddefs[name][1]
@@ -344,7 +344,7 @@ class _Dds:
             )
             found.serialize = _serialized
             found.deserialize = classmethod(_deserialized)
-            self._kinds[key] = found
+            kinds[name] = found
         return found
 
     def _field(self, store: Any, kind: Any) -> Any:
