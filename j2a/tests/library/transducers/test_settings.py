@@ -275,7 +275,7 @@ class TestSettings:
                 with device.hesitating():
                     while "a" in board.transducers:
                         await asyncio.sleep(0.001)
-                    with pytest.raises(j2a.UnknownTransducer, match="'a': what .* not known yet"):
+                    with pytest.raises(j2a.UnknownTransducer, match=r"'a': what .* not known yet"):
                         assert board.transducers["a"]
                     await asyncio.wait_for(told.wait(), PATIENCE_S)
                 board._timeout = PATIENCE_S
