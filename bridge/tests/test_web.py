@@ -243,6 +243,9 @@ def test_a_board_that_does_not_answer_at_once_is_followed_once(monkeypatch):
         def on_sif(self, opcode, take):
             followed.append("sif")
 
+        def on_restart(self, handler):
+            pass
+
         async def read_debug(self):
             return ""
 
