@@ -294,7 +294,7 @@ class NotAnnounced(_ClockCase):
 
 
 class Asked(_ClockCase):
-    """Lets a host measure the clock, and not set it."""
+    """Lets a host measure the clock, in whatever state this says that it is, and not set it."""
 
     ID = "host.clock.asked"
     EXPECTATION = "Neither ADJUST nor FRAME; one of them once the host is told to set the clock."
@@ -302,10 +302,11 @@ class Asked(_ClockCase):
 
     def _run(self, host: Host) -> None:
         device = _Scripted(host)
-        for _ in range(3):
+        for state in (c.CLOCK_FREE, c.CLOCK_SETTLING, c.CLOCK_LOCKED, c.CLOCK_HOLDOVER, None):
+            device.state = state
             self._exchange(device, "exchanged")
-        device.play(f"clock-measure {_ROUNDS} {host.limit_ms}")
-        host.outcome("clock")
+            device.play(f"clock-measure {_ROUNDS // 4} {host.limit_ms}")
+            host.outcome("clock")
         if device.adjusts or device.others:
             fail("the clock was adjusted, though the host was told to measure it only")
         self._sync(device, "clock")

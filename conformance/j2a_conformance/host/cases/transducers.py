@@ -198,7 +198,8 @@ _WRONG: Final = (
     "\nactuator a 1 1 u8\nactuator a 2 1 u8\n", "\nsensor a 1 1 u128\nsensor a 2 1 u8\n",
     "\nsensor a 1 1 u8\nsensor a 2 1 u128\n", "\nsensor a 1 1 u8\n na 1\n na 2\n",
     "\nsensor a 1 1 u8\n color blue\n na 1\n color blue\n", "\nsensor a 1 1 u8\n scale 1e999\n",
-    "\nsensor a 1 1 f32\n na 1e300\n",
+    "\nsensor a 1 1 f32\n na 1e300\n", "\nsensor a 1 1 f32\n range 0, nan\n",
+    "\nsensor a 1 1 f32\n range nan, 0\n", "\nsensor a 1 1 f64\n range nan, nan\n",
     "\nsensor c 3 1 u8\nsensor a 1 1 u8\nsensor a 2 1 u128\n",
     "\n na 1\nsensor a 1 1 u8\n", "struct s (a u8)\nstruct s (b u8)\n\nsensor a 1 1 u8\n",
     "\nsensor a 1 1 u8\n\tna 1\n", "\nsensor a 1 1 u8\r\n", "\nsensor a 1 1 u8 # \x7f\n",
@@ -272,6 +273,24 @@ class Values(_TransducerCase):
               [(n % 2, 5 + n, n) for n in range(9)])  # fmt: skip
         long = sample("long", [(10, n) for n in range(25)])
         taken(host, "long", [long], [(n, 10, n) for n in range(25)])
+
+
+class Bools(_TransducerCase):
+    """Sends samples of bool, with and without a queue, by every value of a byte."""
+
+    ID = "host.transducers.bools"
+    EXPECTATION = "0 is false, and each other value true."
+    REQUIREMENTS = ("J2A-TYPE-002", "J2A-TRANS-023")
+    DEVICE = _device("\nsensor flags 1 16 bool\nsensor more 2 16 bool\n queue 16\n")
+
+    def _run(self, host: Host) -> None:
+        self._watch(host, "flags", "more")
+        for first in range(0, 256, 16):
+            values = [(channel, 5, first + channel != 0) for channel in range(16)]
+            flags = b"".join(struct.pack("<QB", 5, first + channel) for channel in range(16))
+            taken(host, "flags", [(1, flags)], values)
+            more = b"".join(struct.pack("<BQB", n, 5, first + n) for n in range(16))
+            taken(host, "more", [(2, bytes(2) + more)], values)
 
 
 class WrongSamples(_TransducerCase):

@@ -374,11 +374,15 @@ _BAD_LINES = (
     "add(a i32 i32", "add(a i32, a i32)", "add(a text, b u8)", "add(a u8[0])", "add(a u8) u8 ",
     "add()\nadd()", "add (a u8)", "add(a u8)  u8", "add(a u8)\tu8", "add(a f64[40])",
     "add(a u8)\r", "add(a u8) !slow(0)", "add(a u8) # ", "add(a u8) # a\x07",
+    "add(a u8, b u8, a u8)",
 )  # fmt: skip
 _BAD_DEFINITIONS = (
     "enum m u8 (a=0, a=1)", "enum m u8 (a=256)", "enum m u8 (a=1, b=1)", "enum m f32 (a=1)",
     "enum m u8 ()", "struct m (a text)", "struct u8 (a u16)", "struct m (a u8)\nstruct m (a u8)",
     "struct m ()", "sif m 256 ()", "sif m 1 ()\nsif n 1 ()",
+    "sif m 1 ()\nsif o 2 ()\nsif n 1 ()", "sif m 1 ()\nsif o 2 ()\nsif m 3 ()",
+    "struct m (a u8)\nstruct o (a u8)\nstruct m (a u8)", "struct m (a u8, b u8, a u8)",
+    "enum m u8 (a=0, b=1, a=2)", "enum m u8 (a=0, b=1, c=0)",
 )  # fmt: skip
 _FINE = "fine(a u8) u8\n"
 _RIGHT_LINES = f"{_FINE}add(a u8)\n"
@@ -448,7 +452,9 @@ class OtherNames(HostCase):
 
 
 class WrongHash(HostCase):
-    """Is a device whose j2a.interface is not the CRC-32 of its interface, or no CRC-32 at all."""
+    """Is a device whose j2a.interface is not the CRC-32 of its interface, or no CRC-32 at all; and
+    that again.
+    """
 
     ID = "host.interface.wrong-hash"
     EXPECTATION = "No function is called by a signature; raw calls work."
@@ -460,7 +466,7 @@ class WrongHash(HostCase):
         typed(host, "add", [1, 2], [3])
         right = dict(TYPED.properties or ())
         due = right[c.PROP_INTERFACE]
-        for value in ("00000000", "x", f"0{due}", f"{due} ", f"{int(due, 16) ^ 1:08x}"):
+        for value in 2 * ("00000000", "x", f"0{due}", f"{due} ", f"{int(due, 16) ^ 1:08x}"):
             properties = tuple({**right, c.PROP_INTERFACE: value}.items())
             _not_used(host, replace(TYPED, properties=properties))
 
@@ -581,7 +587,7 @@ class Unknown(HostCase):
 
 
 class Long(HostCase):
-    """Is a device with 200 functions, whose names do not fit into its mapping."""
+    """Is a device with 256 functions, whose names do not fit into its mapping."""
 
     ID = "host.interface.long"
     EXPECTATION = "All of them are called by their names."
@@ -589,7 +595,8 @@ class Long(HostCase):
     LEVEL = "interface"
 
     def _run(self, host: Host) -> None:
-        functions = [f"function_with_a_long_name_{n:03}(a u8) u8\n" for n in range(200)]
+        count = 256 - len(_device(_whole("")).names)
+        functions = [f"function_with_a_long_name_{n:03}(a u8) u8\n" for n in range(count)]
         device = _device(_whole("".join(functions)))
         names, mapping = iter(device.names), b""
         for name in names:
@@ -597,5 +604,5 @@ class Long(HostCase):
                 break
             mapping += name.encode() + b"\0"
         host.become(replace(device, mapping=(c.RET_OK, mapping)))
-        for n in (0, 1, 77, 198, 199):
+        for n in (0, 1, 77, 198, 199, count - 2, count - 1):
             typed(host, f"function_with_a_long_name_{n:03}", [n], [255 - n])
