@@ -5,6 +5,7 @@ properties and the interface are such contents.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 from j2a_spec import constants as c
 
@@ -68,10 +69,12 @@ def _reads(peer: Peer, offsets: Sequence[int]) -> Iterator[tuple[int, int, bytes
 
 
 def check_writes(peer: Peer, name: str, what: str, content: bytes) -> None:
-    """Write nothing, some content and a whole chunk; all of it must fail and change nothing."""
+    """Write nothing, a byte and some content at each of several offsets, and a whole chunk; all of
+    it must fail and change nothing.
+    """
     before = peer.read_all(name)
-    whole = bytes(peer.longest_chunk)
-    for offset, data in ((0, b""), (0, content), (3, whole), (2**31, b"x")):
+    writes = [*product((0, 3, len(before), 2**31), (b"", b"x", content))]
+    for offset, data in (*writes, (3, bytes(peer.longest_chunk))):
         for flags in (c.FLAG_WRITE, c.FLAG_WRITE | c.FLAG_LAST):
             reply = peer.ask_many(peer.many(name, flags, offset, data))
             if reply.code != c.RET_FAILED:
