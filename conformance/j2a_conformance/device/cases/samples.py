@@ -20,7 +20,7 @@ from ._board import (
     slots,
     spread,
 )
-from .sif import frames, show
+from .sif import check_counter, frames, show
 
 _PERIODS_S: Final = (0.12, 0.06)
 _LONG_PERIODS: Final = (1 << 24, 1 << 31, (1 << 32) - 1)  # also for who takes fewer bits
@@ -82,18 +82,22 @@ class Queue(TransducerCase):
     """Gives sensors with a queue one value, as many as fit, and more."""
 
     ID = "transducers.queue"
-    EXPECTATION = "SIFs with the values in their order; what did not fit is counted."
-    REQUIREMENTS = ("J2A-TRANS-006", "J2A-TRANS-007")
+    EXPECTATION = (
+        "SIFs with the values in their order, and their seqs, too; what did not fit is counted."
+    )
+    REQUIREMENTS = ("J2A-TRANS-006", "J2A-TRANS-007", "J2A-SIF-001")
     NEEDS = (*TransducerCase.NEEDS, STIMULUS)
 
     def _judge(self, board: Board) -> None:
         sensors = board.sensors(queue=True)
         lost = [self._fit(board, one) - self._depth(one) for one in sensors]
+        begin = board.seen
         for one, size in zip(sensors, lost, strict=True):
             with board.tuned(one):
                 self._sensor(board, one)
                 # That it wraps is the same for all: shown where a request loses the most values.
                 self._wrap(board, one, WRAP if size == max(lost) else MANY)
+        check_counter(board.peer, begin)  # these have all lengths up to the longest
 
     @staticmethod
     def _depth(one: oracle.Transducer) -> int:
