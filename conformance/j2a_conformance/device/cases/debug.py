@@ -12,6 +12,7 @@ from j2a_conformance.wire._expected import first_difference
 
 _AT_MOST = 100_000
 _SHIFTS = 10
+_QUICK_BYTE_S = 0.0005  # at which hundreds of lines take a few seconds
 _LOSSY_SHIFTS = 6  # more exchanges in a row than that hardly ever pass unharmed
 _TARGETS = (1, 8, 9, 31, 32, 33, 63, 64, 65, 126, 127, 128, 129, 253, 254, 255, 256, 257, 509, 510,
             511, 512, 513)  # fmt: skip
@@ -240,7 +241,9 @@ class Boundaries(Case):
 
 
 class Overflow(Case):
-    """Has lines written, 1, 2, 4 up to 512 without taking any, and then takes them all."""
+    """Has lines written, 1, 2, 4 up to 512 without taking any, and then takes them all; where some
+    are lost, also so that 256 of them or a multiple of 256 bytes are.
+    """
 
     ID = "debug.more-and-lost"
     EXPECTATION = (
@@ -260,8 +263,15 @@ class Overflow(Case):
         peer.link.note("no text was lost, so that bit 1 could not be seen set")
 
     def _around(self, peer: Peer, held: int) -> None:
-        """Fill what the device keeps all but, exactly, and a little over; and again at once."""
-        for lines in (held // LINE - 1, held // LINE, held // LINE + 1, held // LINE + 9, 1):
+        """Fill what the device keeps all but, exactly, and a little over; and again at once. Then
+        so much over that what counts lost lines or bytes in one byte has wrapped.
+        """
+        kept = held // LINE
+        counts = [kept - 1, kept, kept + 1, kept + 9, 1]
+        if peer.link.byte_s < _QUICK_BYTE_S:
+            bytes_wrap = (n for n in range(kept + 1, kept + 257) if (n * LINE - held) % 256 == 0)
+            counts += [*bytes_wrap, kept + 256]
+        for lines in counts:
             peer.attempts(lambda n=lines: self._held(peer, n))  # type: ignore[misc]
 
     @staticmethod
