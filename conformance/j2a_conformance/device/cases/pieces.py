@@ -4,7 +4,7 @@ import random
 from collections.abc import Iterator
 
 from j2a_spec import constants as c
-from j2a_spec.oracle import Frame, FrameError, checksum, decode, encode, stuff
+from j2a_spec.oracle import Frame, FrameError, decode, encode
 
 from j2a_conformance._judge import inform
 from j2a_conformance.device._case import Case
@@ -13,17 +13,19 @@ from j2a_conformance.device._peer import Expected, Peer, refusal
 from j2a_conformance.wire._dimensions import SPECIAL, misread, payload_of, pieces, places, spread
 
 from .frame import CLEAN, answers
-from .stuffing import escapable, escaped
+from .stuffing import with_escapes
 
 _PAUSE_S = 0.001
+_EVERYWHERE = range(c.HEADER + c.MAX_PAYLOAD + 1)  # in a frame
 _BATCH = 600  # bytes: few enough pieces that a busy machine makes no long pause among them
 
 
 class Pieces(Case):
     """Sends good, damaged and interrupted frames, and frames with ESC 0xFF, of many lengths in two
-    to four pieces with a short pause between them, short ones cut everywhere, and some byte by
-    byte; noise and a start byte in one piece, and the rest of the frame in another; and all of
-    these mixed in one stream, in pieces of up to 40 bytes that end behind each ESC.
+    to four pieces with a short pause between them, short ones and such as are full of escapes cut
+    everywhere, and some byte by byte; noise and a start byte in one piece, and the rest of the
+    frame in another; and all of these mixed in one stream, in pieces of up to 40 bytes that end
+    behind each ESC.
     """
 
     ID = "frame.pieces"
@@ -85,6 +87,10 @@ class Pieces(Case):
                 for at in places(request.wire):
                     parts = [request.wire[:at], request.wire[at:]]
                     self._in_pieces(peer, parts, request.expected)
+        for payload in (b"\x7e\x12\x7e\x7e\xed\x01", b"\x7d\x7e\x7d"):  # each with ESC ESC
+            wire, echoed = with_escapes(peer.echo_opcode, payload, 0x7E, _EVERYWHERE)
+            for at in places(wire):
+                self._in_pieces(peer, [wire[:at], wire[at:]], echoed)
         for length in (0, 20, 60):
             request = peer.echo(payload_of(length, 1))
             single = [bytes((byte,)) for byte in request.wire]
@@ -123,12 +129,7 @@ class Pieces(Case):
             wire, sos = request.wire, bytes((c.SOS,))
             cut = wire[: 2 + n * 11 % (len(wire) - 2)]
             begun = cut if cut[-1] == c.ESC else cut + bytes((c.ESC,))
-            needless = bytes((c.SOF,)) + b"".join(
-                escaped(b) if escapable(b) or b in c.STUFFED else bytes((b,))
-                for b in (request.seq, opcode, length, *payload_of(length, n))
-            )
-            sum_ = checksum(request.seq, opcode, payload_of(length, n))
-            needless += escaped(sum_) if escapable(sum_) else stuff(bytes((sum_,)))
+            needless, _ = with_escapes(opcode, payload_of(length, n), request.seq, _EVERYWHERE)
             whole = [(needless, [request.expected]), (wire, [request.expected])][n % 2]
             foreign = encode(Frame(c.SOS, request.seq, opcode, payload_of(length % 40, n)))
             for broken in (

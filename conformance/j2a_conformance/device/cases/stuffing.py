@@ -1,6 +1,6 @@
 """Byte stuffing, both ways (J2A-STUFF)."""
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from itertools import product
 
 from j2a_spec import constants as c
@@ -24,6 +24,19 @@ def escapable(value: int) -> bool:
 def escaped(value: int) -> bytes:
     """Return `value` as an escape pair."""
     return bytes((c.ESC, value - 1))
+
+
+def with_escapes(
+    opcode: int, payload: bytes, seq: int, places: Container[int]
+) -> tuple[bytes, Expected]:
+    """Return an echo whose bytes at `places` (counted from seq) are escaped where legal."""
+    body = bytes((seq, opcode, len(payload))) + payload
+    body += bytes((checksum(seq, opcode, payload),))
+    wire = bytes((c.SOF,))
+    for place, value in enumerate(body):
+        forced = place in places and escapable(value)
+        wire += escaped(value) if forced or value in c.STUFFED else bytes((value,))
+    return wire, Expected(seq, c.ECHO, payload)
 
 
 class Replies(Case):
@@ -154,10 +167,8 @@ class Needless(Case):
             peer.play(wire, refusal(seq, c.ERR_OPCODE))
         peer.play_all(self._few(peer, opcode, values))
 
-    @classmethod
-    def _few(
-        cls, peer: Peer, opcode: int, values: list[int]
-    ) -> Iterator[tuple[bytes, list[Expected]]]:
+    @staticmethod
+    def _few(peer: Peer, opcode: int, values: list[int]) -> Iterator[tuple[bytes, list[Expected]]]:
         """Yield echoes of every length in which few bytes are escaped, and no other needs it."""
         for length in range(1, peer.longest + 1):
             for count in (0, 1, 2, 3):  # none: ESC ESC
@@ -168,26 +179,15 @@ class Needless(Case):
                 for n, place in enumerate(places):
                     value = values[(length * 3 + count * 67 + n) % len(values)]
                     payload[place - 3] = value if count else c.ESC + 1
-                wire, due = cls._escaped(opcode, bytes(payload), peer.seq(), places)
+                wire, due = with_escapes(opcode, bytes(payload), peer.seq(), places)
                 if length % 5 == count:
                     first, wrong = damaged(opcode, length)
                     yield first, [refusal(wrong, c.ERR_CHECKSUM)]
                 yield wire, [due]
 
-    @classmethod
-    def _exchange(cls, peer: Peer, opcode: int, payload: bytes, seq: int, places: set[int]) -> None:
-        peer.play(*cls._escaped(opcode, payload, seq, places))
-
     @staticmethod
-    def _escaped(opcode: int, payload: bytes, seq: int, places: set[int]) -> tuple[bytes, Expected]:
-        """Return an echo whose bytes at `places` (counted from seq) are escaped where legal."""
-        body = bytes((seq, opcode, len(payload))) + payload
-        body += bytes((checksum(seq, opcode, payload),))
-        wire = bytes((c.SOF,))
-        for place, value in enumerate(body):
-            forced = place in places and escapable(value)
-            wire += escaped(value) if forced or value in c.STUFFED else bytes((value,))
-        return wire, Expected(seq, c.ECHO, payload)
+    def _exchange(peer: Peer, opcode: int, payload: bytes, seq: int, places: set[int]) -> None:
+        peer.play(*with_escapes(opcode, payload, seq, places))
 
 
 class EscapeFf(Case):
