@@ -25,6 +25,7 @@ from j2a.cli._exit import (
     error_facts,
     exit_code,
     exit_codes_help,
+    ignore_signals,
     is_of_a_file,
 )
 from j2a.cli._help import Formatter, fitted, url_list
@@ -113,7 +114,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             drop_output()
         code = known
         _report(error, code, as_json="--json" in words)
-    return finish_output(code)
+    code = finish_output(code)
+    if argv is None:
+        ignore_signals()
+    return code
 
 
 def _report(error: Exception, code: int, *, as_json: bool) -> None:

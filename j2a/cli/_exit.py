@@ -98,9 +98,14 @@ def end_on_signals() -> None:
             signal.signal(number, _on_signal)
 
 
+def ignore_signals() -> None:
+    """Ignore SIGTERM and SIGHUP: the program ends, and they must not cut the cleaning up short."""
+    for number in _ENDING:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def _on_signal(number: int, _frame: FrameType | None) -> None:
-    for one in _ENDING:
-        signal.signal(one, signal.SIG_IGN)  # a second one must not cut the cleaning up short
+    ignore_signals()
     raise SystemExit(128 + number)
 
 

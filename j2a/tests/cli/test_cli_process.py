@@ -338,3 +338,28 @@ def test_progress_bar_on_a_real_terminal(start, tmp_path, options, has_bar):
     assert (result.returncode, result.stdout) == (0, b"")
     assert (b"\rwrite slow  [#" in shown) == has_bar
     assert b"10000 bytes written to slow" in shown
+
+
+def test_a_signal_to_a_program_that_is_ending_anyway():
+    """What is left to do then, such as to remove a folder, is done, and nothing is printed."""
+    program = """
+import atexit, os, signal, sys
+from j2a.cli import main
+
+def end():
+    os.kill(os.getpid(), signal.SIGTERM)
+    print("done")
+
+atexit.register(end)
+sys.argv[1:] = ["--version"]
+sys.exit(main())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith("\ndone\n")
