@@ -322,6 +322,10 @@ class Host:
         self.send(request.reply(code, payload))
         self.replied(request, code)
 
+    def hold(self, requests: Iterable[Request]) -> None:
+        """Expect that no call has a seq of these, which wait though later ones are answered."""
+        self._seqs.held = frozenset(request.seq for request in requests)
+
     def replied(self, request: Request, code: int = c.RET_OK) -> None:
         """Note that a request was answered by other means than `reply`."""
         self._seqs.reply(request.seq, code in c.ERRORS)

@@ -13,9 +13,14 @@ _SEQS = 256
 
 
 class Seqs:
-    """The seqs that a host may use next, for one link."""
+    """The seqs that a host may use next, for one link.
+
+    Attributes:
+        held: those of calls that still wait, though later ones were answered.
+    """
 
     def __init__(self) -> None:
+        self.held: frozenset[int] = frozenset()
         self._last: int | None = None
         self._open: list[int] = []
         self._doubtful: set[int] = set()
@@ -35,7 +40,7 @@ class Seqs:
             return "all 256 seqs are outstanding, and the request is no barrier (J2A-SEQ-006)"
         last, self._last = self._last, seq
         is_open = seq in self._outstanding
-        may_be_skipped = self._outstanding | self._doubtful
+        may_be_skipped = self._outstanding | self._doubtful | self.held
         self._open = [*(s for s in self._open if s != seq), seq]
         if last is None:
             return ""

@@ -12,6 +12,7 @@ from j2a_spec.grammar import BOOT
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import (
+    BARE,
     DEMO,
     FETCH,
     OLD,
@@ -220,6 +221,24 @@ class AnnouncedLate(HostCase):
         host.do(f"call {PING} aa {host.limit_ms}", "reply 0 aa", "restarted")
         host.do(f"call {PING} bb {host.limit_ms}", "reply 0 bb")
         return len(device.asked)
+
+
+class NoMany(_BootCase):
+    """Comes back without a2jMany, behind reads and writes, and has the host read and write."""
+
+    ID = "host.boot.no-many"
+    EXPECTATION = "Both are refused, and no request for a2jMany is sent."
+    REQUIREMENTS = ("J2A-DISP-008", "J2A-BOOT-005")
+
+    def _judge(self, host: Host) -> None:
+        jobs = [f"{job} {host.limit_ms}" for job in (f"write {STORE} 40*61", f"read {FETCH}")]
+        for job in jobs:
+            host.do(job, "written", "data")
+        _end_a_call(host, BARE)
+        for job in (*jobs, *jobs):
+            host.job(job)
+            host.outcome("refused", "restarted")
+        host.do(f"call {PING} aa {host.limit_ms}", "reply 0 aa")
 
 
 class Ends(_BootCase):

@@ -1,6 +1,7 @@
 """Transfers in chunks (J2A-MANY); those that need large offsets of old devices are in `offsets`."""
 
 from dataclasses import dataclass
+from itertools import product
 
 from j2a_spec import constants as c
 from j2a_spec.requirements import Level
@@ -222,13 +223,13 @@ class ReplyFlags(HostCase):
 
 
 class WriteReplies(HostCase):
-    """Answers the chunks of writes with data of 0 to 249 bytes, and with isLast set where it is not
-    due and not set where it is.
+    """Answers the chunks of writes with data of 0 to 249 bytes, with isLast set where it is not due
+    and not set where it is, and with return values of the function up to 0xEF.
     """
 
     ID = "host.many.write-replies"
-    EXPECTATION = "Both are ignored: the host goes on to the end."
-    REQUIREMENTS = ("J2A-MANY-016",)
+    EXPECTATION = "Both are ignored: the host goes on to the end, unless it reports a failure."
+    REQUIREMENTS = ("J2A-MANY-016", "J2A-MANY-013")
     LEVEL = "many"
 
     def _run(self, host: Host) -> None:
@@ -237,6 +238,15 @@ class WriteReplies(HostCase):
                 host.job(f"write {STORE} {spelt(700)} {host.limit_ms}")
                 serve_write(host, pattern(700), flags, pattern(size))
                 host.outcome("written")
+        for code, flags in product((1, 0x7F, c.RET_MAX), (0, c.FLAG_LAST)):
+            host.job(f"write {STORE} {spelt(700)} {host.limit_ms}")
+            came = 0
+            while (request := host.request_or_end()) is not None:
+                came += len(chunk_of(request).data)
+                reply(host, chunk_of(request), flags, b"", code)
+            outcome = host.outcome("written", *_FAILED)
+            if outcome.word == "written" and came != 700:
+                fail(f"{came} of 700 bytes were written, behind a return value of {code}")
 
 
 class _Broken(HostCase):

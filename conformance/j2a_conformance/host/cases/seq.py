@@ -20,6 +20,8 @@ _FREED = 10
 _BARRIER_MS = 200.0
 _REPLACED_S = 0.5  # of 1 s; a busy machine may take the first barrier late
 BARRIER_AGAIN_MS = 1300.0
+_LONG_QUIET_MS = 500.0  # where a stall must not look like a host that makes one call at a time
+_ROOMY = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
 
 
 def stray(seq: int, payload: bytes = b"stray", start: int = c.SOF) -> bytes:
@@ -285,35 +287,69 @@ class StalledTogether(_Stalled):
 
 
 class StalledWaiting(_Stalled):
-    """Leaves 256 calls without an answer, one of the first of which goes on waiting, and has the
-    host make 20 more; then answers this one, and what comes behind it.
+    """Leaves 256 calls without an answer, two of the first of which go on waiting, and has the host
+    make 20 more; then answers these two, and what comes behind them.
     """
 
     ID = "host.seq.stalled-waiting"
-    EXPECTATION = "No request has the seq of the call that waits, which gets its reply."
+    EXPECTATION = "No request has the seq of a call that waits; both get their replies."
     REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-003", "J2A-SEQ-009")
 
     def _run(self, host: Host) -> None:
-        known = (c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")
-        host.become(replace(DEMO, properties=known))
+        host.become(_ROOMY)
         brief_ms = max(host.silence_ms // 60, 1)
-        calls = f"call @6 ff {20 * host.limit_ms}", f"repeat {_SEQS + 20} call @6 73 {brief_ms}"
+        calls = [f"call @6 {data} {20 * host.limit_ms}" for data in ("fe", "ff")]
+        calls.append(f"repeat {_SEQS + 20} call @6 73 {brief_ms}")
         host.job("together " + " ; ".join(calls))
-        sent = host.requests(2, _BARRIER_MS)
-        is_together = len(sent) == 2
+        sent = host.requests(3, _BARRIER_MS)
+        is_together = len(sent) == 3
         while is_together and len(sent) < _SEQS:
             sent += host.requests(1, _BARRIER_MS) or [host.request(6)]
         if is_together:
             barrier(host, sent[-1], _BARRIER_MS)
-        waiting = next(request for request in sent if request.payload != b"s")
-        host.reply(waiting, 1, b"mine")
-        while (request := host.request_or_end()) is not None:
-            host.reply(request, 1, b"next")
-        first = host.outcomes(2)[0]
-        if first.whole != "reply 1 6d696e65":
-            fail(f"the host reports `{first.whole}` of the call that waited (J2A-SEQ-004)")
+        for request in [one for one in sent if one.payload != b"s"]:
+            host.reply(request, 1, request.payload)
+        while (next_ := host.request_or_end()) is not None:
+            host.reply(next_, 1, next_.payload)
+        waited = [outcome.whole for outcome in host.outcomes(3)[:2]]
+        if waited != ["reply 1 fe", "reply 1 ff"]:
+            fail(f"the host reports {waited} of the calls that waited (J2A-SEQ-004)")
         if not is_together:
             inform("the host makes one call at a time")
+
+
+class Skipped(_Stalled):
+    """Leaves two calls without an answer that have been sent one after the other, and answers 300
+    others meanwhile.
+    """
+
+    ID = "host.seq.skipped"
+    EXPECTATION = "None of these has the seq of a call that waits."
+    REQUIREMENTS = ("J2A-SEQ-003",)
+
+    def _run(self, host: Host) -> None:
+        host.become(_ROOMY)
+        calls = [f"call @6 {data} {20 * host.limit_ms}" for data in ("fe", "ff")]
+        calls.append(f"repeat 300 call @6 73 {host.limit_ms}")
+        host.job("together " + " ; ".join(calls))
+        first = host.waiting(3, _LONG_QUIET_MS)
+        held = [one for one in first if one.payload != b"s"]
+        if is_together := len(first) == 3:
+            host.hold(held)
+            host.reply(next(one for one in first if one not in held), 1, b"s")
+            for _ in range(299):
+                request = host.request(6, b"s")
+                if request.seq in {one.seq for one in held}:
+                    fail(f"a call has the seq 0x{request.seq:02X} of one that waits")
+                host.reply(request, 1, b"s")
+            host.hold(())
+        for request in held:
+            host.reply(request, 1, b"held")
+        while (late := host.request_or_end()) is not None:
+            host.reply(late, 1, late.payload)
+        host.outcomes(3)
+        if not is_together:
+            inform("the host does not make three calls at once")
 
 
 class StalledLate(_Stalled):

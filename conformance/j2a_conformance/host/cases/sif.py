@@ -204,7 +204,9 @@ class Again(HostCase):
 
 
 class First(HostCase):
-    """Opens new links, on which the first SIF has the seq 77, 0, 1, 128 and 255."""
+    """Opens new links, on which the first SIF has the seq 77, 0, 1, 128 and 255: behind a broken
+    one, and before anything else is sent.
+    """
 
     ID = "host.sif.first"
     EXPECTATION = "The host counts from the first SIF of a link on; none before it is missing."
@@ -216,8 +218,17 @@ class First(HostCase):
             host.hang_up()
             host.outcome()  # the host is there
             host.reset_sifs(seq)
-            host.send(host.sif(0x30, b"first") + host.sif(0x30, b"third", 1))
+            broken = frame(c.SOS, (seq - 9) % 256, 0x30, b"broken", 0x10)
+            host.send(broken + host.sif(0x30, b"first") + host.sif(0x30, b"third", 1))
             handed(host, [(0x30, b"first"), (0x30, b"third")], missing=1)
+            host.hang_up(frame(c.SOS, seq, 0x30, b"first"))
+            host.outcome()
+            host.reset_sifs((seq + 1) % 256)
+            host.send(host.sif(0x30, b"third", 1))
+            # The first one may have come before the host had a handler for it.
+            count = host.do(f"sifs all 1 {host.limit_ms}", "sifs")[0].rest.partition(" ")[0]
+            if count != "1":
+                fail(f"the host reports {count} missing SIFs, not 1, behind one that came first")
 
 
 class NoAnswer(HostCase):

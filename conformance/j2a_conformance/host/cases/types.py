@@ -325,7 +325,11 @@ _RESULTS: tuple[tuple[str, Collection[int]], ...] = (
     ("u16[]", range(0, 256, 2)),
     ("(a u8, w f64[])", range(1, 256, 8)),
     ("(a bool[2], p point[])", range(2, 256, 6)),
+    ("point[]", range(0, 256, 6)),
+    ("three[]", range(0, 256, 3)),
+    ("(a u8, f five[])", range(1, 256, 5)),
 )
+_OF_ODD_SIZES = "struct three (a u8, b u16)\nstruct five (a u8, b u32)\n"
 _NO_TEXTS = (b"\xff", b"a\xc3", b"\xed\xa0\x80")
 
 
@@ -340,7 +344,7 @@ class BadReplies(HostCase):
     LEVEL = "interface"
     DEVICE = described(
         "".join(f"r{n}(){result and ' '}{result}\n" for n, (result, _) in enumerate(_RESULTS)),
-        _DEFINITIONS,
+        _DEFINITIONS + _OF_ODD_SIZES,
     )
 
     def _run(self, host: Host) -> None:
