@@ -90,7 +90,9 @@ class ReferenceHost:
 
     def job(self, text: str) -> str:
         match text.split(" "):
-            case ["together", word, *_] if word == "call":
+            case ["together", *_] if all(
+                part.startswith("call ") for part in text[9:].split(" ; ")
+            ):
                 calls = [self.prepare(part.split(" ")) for part in text[9:].split(" ; ")]
                 self.exchange(calls, self.room())
                 return " ; ".join(self.outcome(call) for call in calls)

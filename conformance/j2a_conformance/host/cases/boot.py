@@ -181,7 +181,7 @@ class Undescribed(_BootCase):
                 host.replied_with(c.RET_OK, b"right")
 
 
-class AnnouncedLate(HostCase):
+class AnnouncedLate(_BootCase):
     """Refuses its properties until the host writes 28 and 245 bytes, then shows that it has boot.
     Restarts while a call waits, and as firmware with other opcodes in one piece with the last
     answer that shows it.
@@ -190,9 +190,8 @@ class AnnouncedLate(HostCase):
     ID = "host.boot.announced-late"
     EXPECTATION = "A host that has read the properties takes the boot SIF for what it is."
     REQUIREMENTS = ("J2A-BOOT-004", "J2A-BOOT-005")
-    LEVEL = "boot"
 
-    def _run(self, host: Host) -> None:
+    def _judge(self, host: Host) -> None:
         for size in (28, 245):
             if asked := self._write(host, size):
                 _end_a_call(host)
