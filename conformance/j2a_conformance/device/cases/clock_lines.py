@@ -350,21 +350,31 @@ class Holdover(ClockCase):
 
 
 class TransducerTime(ClockCase):
-    """Reads the time of transducers, and lets a sensor and an actuator tell theirs."""
+    """Reads the time of transducers, and lets sensors and actuators tell theirs, also such as fill
+    all of its bytes.
+    """
 
     ID = "clock.transducers"
     EXPECTATION = "TIME, samples and SET are by the time, also after steps; intervals are not."
     REQUIREMENTS = ("J2A-CLOCK-019", "J2A-TRANS-007")
+    _FULL_US: Final = 0x7A69584736251403
 
     def _judge(self, board: Board) -> None:
         devices = transducers_of(board)
         if devices is None:
             return
-        for base in (UNIX, UNIX - _HOUR, UNIX + 5 * _HOUR):
+        firsts = [one for queue in (False, True) for one in devices.sensors(queue=queue)[:1]]
+        if not board.peer.has(transducers.STIMULUS):
+            firsts = []
+        for base in (UNIX, UNIX - _HOUR, UNIX + 5 * _HOUR, self._FULL_US):
             board.step(base, rate=-70_000)
             self._read(board, devices)
-            if actuators := devices.actuators():
-                self._set(board, devices, actuators[0])
+            for one in devices.actuators():
+                self._set(board, devices, one)
+            for one in firsts:
+                with devices.tuned(one):
+                    self._give(board, devices, one)
+        board.step()
 
     @staticmethod
     def _read(board: Board, devices: transducers.Board) -> None:
@@ -384,6 +394,21 @@ class TransducerTime(ClockCase):
         time = int.from_bytes(devices.read(one, c.TRANSD_SAMPLE)[:8], "little")
         if not before <= time <= after:
             fail(f"{one.name} was set at {time} us, not between {before} and {after} us")
+
+    @staticmethod
+    def _give(board: Board, devices: transducers.Board, one: types.Transducer) -> None:
+        before, since = board.status().time, devices.seen
+        devices.stimulate(one, (0, devices.value(one)))
+        after = board.status().time
+        _, payload = devices.sif(one, since)
+        times = transducers.times_us(devices, one, payload)[:1]
+        if devices.has(one, c.TRANSD_SAMPLE):
+            sample = devices.read(one, c.TRANSD_SAMPLE)
+            times += transducers.times_us(devices, one, sample)[:1]
+        for time in times:
+            if not before <= time <= after:
+                text = f"a value of {one.name} has the time {time} us, and was given between"
+                fail(f"{text} {before} and {after} us")
 
 
 class Intervals(ClockCase):
