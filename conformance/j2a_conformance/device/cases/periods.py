@@ -15,7 +15,8 @@ from typing import Final
 from j2a_spec import constants as c
 from j2a_spec import transducers as oracle
 
-from j2a_conformance._judge import fail
+from j2a_conformance._judge import fail, inform
+from j2a_conformance.device._paused import send_paused
 
 from ._board import (
     STIMULUS,
@@ -26,6 +27,7 @@ from ._board import (
     queued,
     spread,
 )
+from .timing import awkward
 
 _SHORT_US: Final = 25_000
 _SHORTER_US: Final = (1000, 2000, 5000, 10_000, 16_000, 20_000)
@@ -44,6 +46,8 @@ _LATE: Final = ((2, 4), (6, 2), (8, 1))  # tenths of a period, and how many SIFs
 _LATE_ONCE: Final = (5, 1)
 _RATE: Final = 0.95  # the clock may run slower than the local time
 _IN_TIME: Final = 0.94
+_PIECE_S: Final = 0.006  # a pause within a request, and more than a TIME takes
+_PIECE_BYTE_S: Final = 0.0005
 
 
 class PeriodCase(TransducerCase):
@@ -351,3 +355,35 @@ class QueuedPeriod(PeriodCase):
             index, payload = board.sif(one, index + 1)
             self._not_before(one, board.time_us(), low_us, number * period_us)
             left -= len(queued(board, one, payload))
+
+
+class AmidRequest(PeriodCase):
+    """Sends a request in three pieces from before a sample SIF of each sensor is due to behind
+    that, cut at another byte each time, also inside escapes.
+    """
+
+    ID = "transducers.period-amid-request"
+    EXPECTATION = "The sample SIF comes, once, within the request or behind it."
+    REQUIREMENTS = ("J2A-TRANS-011",)
+
+    def _judge(self, board: Board) -> None:
+        if board.peer.link.byte_s > _PIECE_BYTE_S:
+            inform("on a link as slow as this no sample SIF is due within a request")
+        for number, one in enumerate(board.sensors()):
+            with board.tuned(one):
+                board.peer.attempts(partial(self._attempt, board, one, _SHORT_US, number))
+
+    def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
+        _, high_us = self._refer(board, one)
+        since = board.seen
+        self._period(board, one, period_us)
+        self._give(board, one)
+        board.wait_until(high_us + period_us - round(_PIECE_S * 1.5e6))
+        wire, _ = awkward(board.peer)
+        first = 1 + odd % (len(wire) - 2)
+        send_paused(
+            board.peer, [wire[:first], wire[first : first + 1], wire[first + 1 :]], _PIECE_S
+        )
+        board.peer.resync()  # whatever the reply is: the machine may have stalled in a pause
+        index, _ = board.sif(one, since)
+        board.no_sif_yet(one, index + 1, "behind the one that was due")
