@@ -214,7 +214,7 @@ class Set(TransducerCase):
 
 class Watchdog(TransducerCase):
     """Is silent for shorter and longer than the watchdog of an actuator, and for longer again; lets
-    watchdogs of 1 ms to more than a second expire.
+    watchdogs of 1 ms to more than a second expire, and those of all actuators together.
     """
 
     ID = "transducers.watchdog"
@@ -227,6 +227,14 @@ class Watchdog(TransducerCase):
     _MOMENT_MS: Final = 15
 
     def _judge(self, board: Board) -> None:
+        if guarded := board.actuators("watchdog"):
+            befores = [board.read(one, c.TRANSD_WATCHDOG) for one in guarded]
+            try:
+                board.peer.attempts(lambda: self._together(board, guarded))
+            finally:
+                with suppress(Judged, TransportError):
+                    for one, before in zip(guarded, befores, strict=True):
+                        board.write(one, c.TRANSD_WATCHDOG, before)
         for one in board.actuators("watchdog"):
             before = board.read(one, c.TRANSD_WATCHDOG)
             try:
@@ -234,6 +242,23 @@ class Watchdog(TransducerCase):
             finally:
                 with suppress(Judged, TransportError):
                     board.write(one, c.TRANSD_WATCHDOG, before)
+
+    def _together(self, board: Board, guarded: list[oracle.Transducer]) -> None:
+        """Have the watchdogs of all actuators expire twice, with a single request in between."""
+        for one in guarded:
+            board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
+        for times in (1, 2, 4):  # as in `_each_silence`
+            self._silence(board, times * self.LIMIT_MS * 2)
+            begin_us = board.time_us()
+            self._silence(board, times * self.LIMIT_MS * 2)
+            samples = [slots(board, one, board.read(one, c.TRANSD_SAMPLE)) for one in guarded]
+            if board.time_us() >= begin_us + self.LIMIT_MS * 1600:
+                break
+        for one, sample in zip(guarded, samples, strict=True):
+            for channel, (time_us, raw) in enumerate(sample):
+                if raw != safe(board, one) or time_us < begin_us:
+                    what = f"channel {channel} of {one.name} was not made safe in a second silence"
+                    fail(f"{what}, but is {raw.hex()} since {time_us} us", suspect=True)
 
     def _actuator(self, board: Board, one: oracle.Transducer) -> None:
         safe_value, value = safe(board, one), unsafe(board, one)
