@@ -143,7 +143,8 @@ class McapFile:
                     return
                 try:
                     if opcode == _DATA_END:
-                        _check_crc("the file", content[:4], crc)
+                        # Damage that was found is not told of twice.
+                        _check_crc("the file", content[:4], None if self.problems else crc)
                     elif opcode == _CHUNK:
                         yield from _in_chunk(content)
                     else:
