@@ -5,7 +5,7 @@ a case that needs another device states it, and the host meets that over a new l
 """
 
 import re
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Any, Self
 
@@ -17,6 +17,7 @@ __all__ = [
     "FETCH",
     "OLD",
     "PING",
+    "ROOMY",
     "STORE",
     "Device",
     "NotingDevice",
@@ -169,6 +170,9 @@ class NotingDevice(Device):
 
 DEMO = Device()
 """The device of most cases."""
+
+ROOMY = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+"""A device with room for several requests, so that calls may wait together."""
 
 OLD = Device(
     names=tuple(name for name in DEMO.names if name not in (c.GET_PROPERTIES, c.GET_DEBUG)),

@@ -40,6 +40,7 @@ _MOST: Final = 200
 _MOST_TOLD: Final = 4500  # of 249 bytes: 1 MiB of properties
 _JOB_S: Final = 120.0  # no job has more than a quarter of it for its time limit
 _PAUSE_S: Final = 0.0004
+_TOGETHER_MS: Final = 500.0  # a stall must not look like a host that makes one call at a time
 _LAST_WORDS_S: Final = 0.5
 
 
@@ -289,7 +290,7 @@ class Host:
                 found.append(request)
         return found
 
-    def waiting(self, at_most: int, quiet_ms: float) -> list[Request]:
+    def waiting(self, at_most: int, quiet_ms: float = _TOGETHER_MS) -> list[Request]:
         """Return the next request, which must come, and those behind it as `requests` does."""
         return [self.request(), *self.requests(at_most - 1, quiet_ms)]
 

@@ -38,7 +38,6 @@ _MOST_ANSWERS = 12
 _REST_MS = 30.0
 _STALLED_MS = 200.0
 _ONE_MORE_MS = 60.0
-_ALL_MS = 500.0  # where a stall must not look like a host that makes one call at a time
 
 
 def booting(
@@ -289,7 +288,7 @@ class EndsAll(_BootCase):
             opcode = host.device.opcode(PING)
             call = f"call @{opcode} aa {host.limit_ms}"
             host.job("together " + " ; ".join([call] * count))
-            requests = host.waiting(count, _ALL_MS)
+            requests = host.waiting(count)
             boot(host)
             outcomes = host.outcomes(count)
             words = [outcome.word for outcome in outcomes]

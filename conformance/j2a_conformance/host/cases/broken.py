@@ -4,7 +4,6 @@ Each is whole for a host that breaks the rule, and then it is handed over: the o
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import ClassVar
 
 from j2a_spec import constants as c
@@ -13,7 +12,7 @@ from j2a_spec.requirements import Level
 from j2a_conformance._judge import Judged, fail
 from j2a_conformance._model import Verdict
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO
+from j2a_conformance.host._device import ROOMY
 from j2a_conformance.host._dimensions import (
     LENGTHS,
     Broken,
@@ -116,7 +115,7 @@ class Together(HostCase):
     EXPECTATION = "Neither call ends by a broken reply; both get their right ones."
     REQUIREMENTS = ("J2A-SUM-003", "J2A-STUFF-004", "J2A-FRAME-007", "J2A-FRAME-009")
     LEVEL = "core"
-    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+    DEVICE = ROOMY
     _LENGTHS = (0, 1, 7, 64, 254, 255)
 
     def _run(self, host: Host) -> None:

@@ -9,7 +9,7 @@ from j2a_spec.oracle import Frame, encode
 
 from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, pattern
+from j2a_conformance.host._device import DEMO, FETCH, PING, ROOMY, STORE, pattern
 from j2a_conformance.host._dimensions import LENGTHS, content, frame
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Request, spell
@@ -20,7 +20,6 @@ from .many import spelt
 
 _CODES = tuple(sorted(c.ERRORS))
 _UNANSWERED = 4  # times the limit of a call that is not answered, for three of them
-_QUIET_MS = 500.0  # where a stall must not look like a host that makes one call at a time
 
 
 class Payloads(HostCase):
@@ -101,7 +100,7 @@ class Foreign(HostCase):
     EXPECTATION = "They are dropped, and each call gets its own reply."
     REQUIREMENTS = ("J2A-SEQ-004", "J2A-SEQ-005")
     LEVEL = "core"
-    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+    DEVICE = ROOMY
 
     def _run(self, host: Host) -> None:
         request = host.asked(limit_ms=10 * host.limit_ms)
@@ -109,7 +108,7 @@ class Foreign(HostCase):
         host.reply(request, 2, b"mine")
         host.replied_with(2, b"mine")
         host.job("together " + " ; ".join(f"call @6 0{n} {host.limit_ms}" for n in range(1, 4)))
-        waiting = host.waiting(3, _QUIET_MS)
+        waiting = host.waiting(3)
         self.errors(host, {one.seq for one in waiting})
         for one in waiting:
             host.reply(one, 1, one.payload)
@@ -189,7 +188,7 @@ class Hint(HostCase):
         # The end of this time is what a call waits for whose reply does not come.
         limit_ms = host.limit_ms if is_answered else _UNANSWERED * host.silence_ms
         host.job("together " + " ; ".join(f"call @6 0{n} {limit_ms}" for n in range(1, 4)))
-        waiting = host.waiting(3, _QUIET_MS)
+        waiting = host.waiting(3)
         if not is_answered and len(waiting) < 3:
             host.serve()
             fail("not all of three calls came at once, as they did before", suspect=True)

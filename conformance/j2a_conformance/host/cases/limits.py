@@ -9,7 +9,15 @@ from j2a_spec.requirements import Level
 
 from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, pattern, properties_content
+from j2a_conformance.host._device import (
+    DEMO,
+    FETCH,
+    PING,
+    ROOMY,
+    STORE,
+    pattern,
+    properties_content,
+)
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Request, spell
 from j2a_conformance.wire._expected import DAMAGE
@@ -17,7 +25,6 @@ from j2a_conformance.wire._expected import DAMAGE
 from .many import next_chunk, reply
 
 _QUIET_MS = 20.0
-_LONG_QUIET_MS = 500.0  # where a stall must not look like a host that makes one call at a time
 
 
 def together(host: Host, *datas: str) -> None:
@@ -53,7 +60,7 @@ class Hinted(HostCase):
     def _run(self, host: Host) -> None:
         for code, place in product(sorted(DAMAGE), range(2)):
             together(host, "8*61", "8*62", "8*63")
-            waiting = host.waiting(2, _LONG_QUIET_MS)
+            waiting = host.waiting(2)
             if len(waiting) < 2:
                 host.reply(waiting[0], 1, waiting[0].payload)
                 serve(host, 2, host.device.rxbuf)
@@ -137,12 +144,12 @@ class OutOfOrder(HostCase):
     EXPECTATION = "No call gets the reply to another one."
     REQUIREMENTS = ("J2A-SEQ-004", "J2A-SEQ-005")
     LEVEL = "core"
-    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+    DEVICE = ROOMY
 
     def _run(self, host: Host) -> None:
         payloads = [b"\x01", b"\x02", b"\x03"]
         together(host, *(payload.hex() for payload in payloads))
-        requests = host.waiting(len(payloads), _LONG_QUIET_MS)
+        requests = host.waiting(len(payloads))
         if len(requests) < len(payloads):
             for request in requests:
                 host.reply(request, 1, request.payload)

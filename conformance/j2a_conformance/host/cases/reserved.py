@@ -1,18 +1,14 @@
 """Reserved codes among calls that wait together (J2A-ERR-011)."""
 
-from dataclasses import replace
 from typing import Final
-
-from j2a_spec import constants as c
 
 from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO
+from j2a_conformance.host._device import ROOMY
 from j2a_conformance.host._host import Host
 
 from .limits import serve, together
 
-_QUIET_MS = 500.0  # where a stall must not look like a host that makes one call at a time
 _RESERVED: Final = (0xF1, *range(0xF5, 0xFF))
 
 
@@ -23,12 +19,12 @@ class ReservedAmong(HostCase):
     EXPECTATION = "The call has failed: what comes behind the reserved code is no result of it."
     REQUIREMENTS = ("J2A-ERR-011",)
     LEVEL = "core"
-    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+    DEVICE = ROOMY
 
     def _run(self, host: Host) -> None:
         for code in _RESERVED:
             together(host, "01", "02")
-            requests = host.waiting(2, _QUIET_MS)
+            requests = host.waiting(2)
             if len(requests) < 2:
                 host.reply(requests[0], 1, requests[0].payload)
                 serve(host, 1, host.device.rxbuf)

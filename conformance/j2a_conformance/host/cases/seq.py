@@ -8,7 +8,7 @@ from j2a_spec.requirements import Level
 
 from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO
+from j2a_conformance.host._device import DEMO, ROOMY
 from j2a_conformance.host._dimensions import content, frame
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Request
@@ -20,8 +20,6 @@ _FREED = 10
 _BARRIER_MS = 200.0
 _REPLACED_S = 0.5  # of 1 s; a busy machine may take the first barrier late
 BARRIER_AGAIN_MS = 1300.0
-_LONG_QUIET_MS = 500.0  # where a stall must not look like a host that makes one call at a time
-_ROOMY = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
 
 
 def stray(seq: int, payload: bytes = b"stray", start: int = c.SOF) -> bytes:
@@ -296,7 +294,7 @@ class StalledWaiting(_Stalled):
     REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-003", "J2A-SEQ-009")
 
     def _run(self, host: Host) -> None:
-        host.become(_ROOMY)
+        host.become(ROOMY)
         brief_ms = max(host.silence_ms // 60, 1)
         calls = [f"call @6 {data} {20 * host.limit_ms}" for data in ("fe", "ff")]
         calls.append(f"repeat {_SEQS + 20} call @6 73 {brief_ms}")
@@ -328,11 +326,11 @@ class Skipped(_Stalled):
     REQUIREMENTS = ("J2A-SEQ-003",)
 
     def _run(self, host: Host) -> None:
-        host.become(_ROOMY)
+        host.become(ROOMY)
         calls = [f"call @6 {data} {20 * host.limit_ms}" for data in ("fe", "ff")]
         calls.append(f"repeat 300 call @6 73 {host.limit_ms}")
         host.job("together " + " ; ".join(calls))
-        first = host.waiting(3, _LONG_QUIET_MS)
+        first = host.waiting(3)
         held = [one for one in first if one.payload != b"s"]
         if is_together := len(first) == 3:
             host.hold(held)

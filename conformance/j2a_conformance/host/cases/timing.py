@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from j2a_spec import constants as c
 from j2a_spec.requirements import Level
 
 from j2a_conformance._judge import fail, inform, skip
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO, FETCH, PING, STORE
+from j2a_conformance.host._device import DEMO, FETCH, PING, ROOMY, STORE
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Outcome, spell
 
@@ -257,7 +256,7 @@ class AmongMany(_Ends):
 
     ID = "host.time.among-many"
     EXPECTATION = "Each of the two ends by its time limit, however many calls end before."
-    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+    DEVICE = ROOMY
 
     def _run(self, host: Host) -> None:
         count, limit_ms = 100, 12 * host.silence_ms
