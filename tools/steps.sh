@@ -15,6 +15,7 @@ mkdir -p build/steps
 times=build/step-times
 : >"$times"
 failed=()
+declare -A beside=() titles=() # of what `begin` started: the process group, and what to call it
 
 chosen() { [[ -z "${CHECK:-}" || ",$CHECK," == *",$1,"* ]]; }
 
@@ -33,6 +34,15 @@ said_time() {
         END { printf "==> %s: %.0f s, %.0f s of the processors\n", name, s, cpu }' "$times"
 }
 
+# ended NAME STATUS: says the time of a step, and notes whether it failed.
+ended() {
+    said_time "$1"
+    if (($2)); then
+        failed+=("$1")
+        printf '==> %s FAILED with status %d\n' "$1" "$2"
+    fi
+}
+
 step() {
     local name=$1 title=$2 status=0
     shift 2
@@ -43,11 +53,32 @@ step() {
     {
         timed "$name" "$@" </dev/null 2>&1 >&4 4>&- | tee -a "build/steps/$name.log" >&2
     } 4>&1 | tee -a "build/steps/$name.log" || status=$?
-    said_time "$name"
-    if ((status)); then
-        failed+=("$name")
-        printf '==> %s FAILED with status %d\n' "$name" "$status"
-    fi
+    ended "$name" "$status"
+}
+
+# begin NAME TITLE COMMAND...: a step beside those that follow; `show NAME` shows it and waits for it.
+# It has a process group of its own: the shell lets no other process in the background have Ctrl-C,
+# nor the programs that it starts.
+begin() {
+    local name=$1
+    chosen "$name" || return
+    titles[$name]=$2
+    shift 2
+    set -m
+    timed "$name" "$@" </dev/null >"build/steps/$name.log" 2>&1 &
+    beside[$name]=$!
+    set +m
+}
+trap '((${#beside[@]} == 0)) || kill -INT -- "${beside[@]/#/-}"' EXIT
+
+show() {
+    local name=$1 status=0
+    [[ -n "${beside[$name]:-}" ]] || return 0
+    printf '\n==> %s: %s\n' "$name" "${titles[$name]}"
+    tail -n +1 -f --pid="${beside[$name]}" "build/steps/$name.log"
+    wait "${beside[$name]}" || status=$?
+    unset "beside[$name]"
+    ended "$name" "$status"
 }
 
 end_steps() {
