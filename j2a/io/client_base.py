@@ -126,12 +126,12 @@ class ClientBase(Generic[_StreamT]):
         self._timeout = check_timeout(timeout)
         self._window = window
         # A random start keeps the replies to an earlier program from answering this one.
-        self._session = Session(
+        session = self._session = Session(
             first_seq=random.randrange(256),
             window=window,
             trace=trace,
         )
-        self._device = DeviceInfo(partial(_reading_properties, self._session))
+        self._device = DeviceInfo(partial(_reading_properties, session))
         # The epoch of the session in which it was learnt what the device has.
         self._learnt = 0
         # The epoch in which the function map was fetched, -1 before.
@@ -152,7 +152,8 @@ class ClientBase(Generic[_StreamT]):
             self._device,
             partial(_now_of, client),
             partial(_described, client),
-            partial(_host_us, client),
+            restarts=lambda: session.restarts,
+            host_us=partial(_host_us, client),
         )
         self._handlers.add(None, self._source.take)
 

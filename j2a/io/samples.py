@@ -33,11 +33,12 @@ class BadPayload(ProtocolError):  # noqa: N818 - named as those of j2a.errors
 
 
 class _State:
-    """What is remembered of one transducer until the device restarts."""
+    """What is remembered of one transducer until its descriptor is learnt anew."""
 
-    def __init__(self, transducer: Transducer, codec: SampleCodec) -> None:
+    def __init__(self, transducer: Transducer, codec: SampleCodec, restarts: int) -> None:
         self.transducer = transducer
         self.codec = codec
+        self.restarts = restarts
         is_structure = isinstance(transducer.type.element, Structure)
         self.field_units = tuple(transducer.units.items()) if is_structure else ()
         self.latest: Sample | None = None
@@ -66,8 +67,13 @@ class _State:
         return (told - before) % _LOST_MODULO
 
     def go_on(self, before: "_State") -> None:
-        """Count and compare times as one that knew the same transducer did."""
+        """Count and compare times as one that knew the same transducer did.
+
+        What was lost before a boot SIF is not known behind it (J2A-TRANS-026).
+        """
         self.count = before.count
+        if before.restarts == self.restarts:
+            self.lost, self.last_us = before.lost, before.last_us
         before._note()
         self._times_us, self._latest_us = before._times_us, before._latest_us
 
@@ -119,6 +125,7 @@ class SampleSource:
         device: what the device told about itself.
         now: the time of the link, in seconds.
         epoch: of the SIFs that are samples of the descriptors, -1 while those are being learnt.
+        restarts: how often the device has told that it began anew.
         host_us: the time of this computer at one of the device, None where it is not known.
 
     Attributes:
@@ -132,6 +139,8 @@ class SampleSource:
         device: DeviceInfo,
         now: Callable[[], float],
         epoch: Callable[[], int],
+        *,
+        restarts: Callable[[], int],
         host_us: Callable[[int], int | None] = lambda _time_us: None,
     ) -> None:
         self.current: Sample | None = None
@@ -139,6 +148,7 @@ class SampleSource:
         self._device = device
         self._now = now
         self._epoch = epoch
+        self._restarts = restarts
         self._host_us = host_us
         self._lock = threading.Lock()
         self._known = _Known(None, ())
@@ -155,7 +165,8 @@ class SampleSource:
             if known.descriptors is descriptors:
                 return known
             found = descriptors.transducers if descriptors is not None else ()
-            states = [_State(one, SampleCodec(one, self._device.types)) for one in found]
+            restarts = self._restarts()
+            states = [_State(one, SampleCodec(one, self._device.types), restarts) for one in found]
             for state in states:
                 # Where the device was reset in between, its times go back.
                 before = self._before.get(state.transducer.name)

@@ -20,6 +20,7 @@ from .support import PATIENCE_S
 
 OLD = parse_descriptors("\nsensor temp 9 1 i16 mV\n")
 NEW = parse_descriptors("\nsensor temp 9 1 i16 Cel\n scale 1000\n")
+LOG = "\nsensor log 9 2 u8\n queue 9\n"
 
 
 class World:
@@ -27,14 +28,26 @@ class World:
 
     def __init__(self):
         self.device = SimpleNamespace(descriptors=OLD, types=PythonTypes())
-        self.epoch = 0
-        self.source = SampleSource("x:", self.device, lambda: 0.0, lambda: self.epoch)
+        self.epoch = self.restarts = 0
+        self.source = SampleSource(
+            "x:",
+            self.device,
+            lambda: 0.0,
+            lambda: self.epoch,
+            restarts=lambda: self.restarts,
+        )
 
     def take(self, epoch):
         """Return what a SIF is that came in an epoch: unit and values, or None."""
         self.source.take(Sif(9, struct.pack("<Qh", 5, 7), 0, 0, epoch=epoch))
         sample = self.source.current
         return sample and (sample.unit, sample.values, sample.sequence)
+
+    def take_queued(self, told, times):
+        """Return the sample that a SIF is of LOG, by the newest descriptors."""
+        entries = b"".join(struct.pack("<BQB", 0, time_us, 7) for time_us in times)
+        self.source.take(Sif(9, struct.pack("<H", told) + entries, 0, 0, epoch=self.epoch))
+        return self.source.current
 
 
 @pytest.mark.requirement("J2A-TRANS-027")
@@ -113,18 +126,38 @@ def test_losses_behind_a_reset_are_judged_by_the_first_time_and_the_last(
     times, then, lost, is_without_times_between
 ):
     world = World()
-    world.device.descriptors = parse_descriptors("\nsensor log 9 2 u8\n queue 9\n")
+    world.device.descriptors = parse_descriptors(LOG)
 
     def take(told, times):
-        entries = b"".join(struct.pack("<BQB", 0, time_us, 7) for time_us in times)
-        world.source.take(Sif(9, struct.pack("<H", told) + entries, 0, 0, epoch=0))
-        return world.source.current.lost
+        return world.take_queued(told, times).lost
 
     assert take(3, times) == 0
     assert take(4, times) == 1
     if is_without_times_between:
         assert take(4, (0,)) == 0
     assert take(2, then) == lost
+
+
+@pytest.mark.requirement("J2A-TRANS-026")
+@pytest.mark.parametrize("restarts", [0, 1])
+@pytest.mark.parametrize(
+    ("told", "time_us", "lost", "is_reset"),
+    [(7, 6, 4, False), (3, 6, 0, False), (2, 6, 65_535, False), (2, 4, 2, True)],
+)
+def test_losses_are_known_behind_descriptors_learnt_anew_unless_a_boot_sif_came(
+    told, time_us, lost, is_reset, restarts
+):
+    """They are also learnt anew when SIFs were lost: a restart would explain that, too."""
+    world = World()
+    world.device.descriptors = parse_descriptors(LOG)
+    assert world.take_queued(3, (5,)).lost == 0
+    world.device.descriptors, world.epoch = None, -1
+    assert world.take_queued(3, (5,)) is None
+    world.device.descriptors, world.epoch = parse_descriptors(LOG), 1
+    world.restarts = restarts
+    sample = world.take_queued(told, (time_us,))
+    assert (sample.lost, sample.is_reset) == (0 if restarts else lost, is_reset)
+    assert world.take_queued(told + 5, (time_us,)).lost == 5
 
 
 @pytest.mark.parametrize("size", [243, 244, 245, 246, 247])

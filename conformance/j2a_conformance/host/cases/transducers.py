@@ -422,6 +422,46 @@ class LostReset(_TransducerCase):
             taken(host, "many", [sif], given, lost=lost, resets=resets)
 
 
+class LostGaps(_TransducerCase):
+    """Leaves out SIFs between samples of a sensor with a queue, so many that the counter of SIFs
+    goes on, stays and goes back; the board does not restart, or does without a boot SIF.
+    """
+
+    ID = "host.transducers.lost-gaps"
+    EXPECTATION = "So many are lost as the number says since the last sample that came."
+    REQUIREMENTS = ("J2A-TRANS-026",)
+
+    def _run(self, host: Host) -> None:
+        self._watch(host, "many")
+        number, time_us = 500, 1000
+        taken(host, "many", [queued("many", number, [(0, time_us, 1)])], [(0, time_us, 1)])
+        for skipped, grown in (
+            (0, 2), (1, 1), (128, 127), (200, 300), (254, 0), (255, 3), (100, 65535),
+            (250, 40000), (180, 1), (240, None), (255, None), (30, None),
+        ):  # fmt: skip
+            other = (0x60, b"")
+            host.send(host.sif(*other, skipped=skipped))
+            handed(host, [other], missing=None)
+            # A host that takes the gap for a restart may learn all anew before the next sample.
+            host.do("transducers", f"transducers {_NAMES}")
+            host.do("watch many", "watching")
+            if is_reset := grown is None:
+                number = lost = number // 2
+                time_us //= 2
+            else:
+                number, lost = (number + grown) % 65536, grown
+                time_us += 1
+            entries = [(0, time_us, 1)]
+            taken(
+                host,
+                "many",
+                [queued("many", number, entries)],
+                entries,
+                lost=lost,
+                resets=int(is_reset),
+            )
+
+
 class Clock(_TransducerCase):
     """Sends samples whose times go on, stay and go back, on each channel."""
 
