@@ -221,7 +221,7 @@ class Watchdog(TransducerCase):
     EXPECTATION = "Behind a longer silence each channel is safe, once, and what waited is dropped."
     REQUIREMENTS = ("J2A-TRANS-017",)
     LIMIT_MS: Final = 150
-    _EXPIRE_MS: Final = (1, 20, 50, 300)
+    _EXPIRE_MS: Final = (1, 20, 50, 256)
     _LONGEST_MS: Final = 1100  # of one actuator
     _LATE_MS: Final = 40
     _MOMENT_MS: Final = 15

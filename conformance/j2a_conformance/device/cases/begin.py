@@ -1,4 +1,4 @@
-"""The first sample SIF of a sensor since the start of the device (J2A-TRANS-011)."""
+"""The first values of a sensor since the start of the device (J2A-TRANS-011, J2A-TRANS-013)."""
 
 import struct
 from typing import Final
@@ -6,19 +6,25 @@ from typing import Final
 from j2a_spec import constants as c
 from j2a_spec import transducers as oracle
 
-from ._board import STIMULUS, Board, TransducerCase, slots
+from ._board import STIMULUS, Board, TransducerCase, slots, spread
 from .sif import frames
 
 # Each far longer than the device has run, also for who takes fewer bits or a sign.
 _PERIODS_US: Final = (0xFFFFFFFF, 1 << 31, (1 << 31) - 1, 1 << 30)
+_LIMIT: Final = 5
 
 
 class FirstSample(TransducerCase):
-    """Sets PERIOD of sensors that have sent nothing to long times, and gives each two values."""
+    """Sets PERIOD of sensors that have sent nothing to long times, and gives each two values; then
+    gives those with threshold the value 0 on each other channel.
+    """
 
     ID = "transducers.first-sample"
-    EXPECTATION = "A sample SIF for the first value, at once, and none for the second one."
-    REQUIREMENTS = ("J2A-TRANS-011",)
+    EXPECTATION = (
+        "A sample SIF for the first value, at once, and none for the second one; the first value "
+        "of a channel is taken whatever the threshold is."
+    )
+    REQUIREMENTS = ("J2A-TRANS-011", "J2A-TRANS-013")
     NEEDS = (*TransducerCase.NEEDS, STIMULUS)
     NEEDS_START = True
 
@@ -34,6 +40,18 @@ class FirstSample(TransducerCase):
                 index, _ = board.sif(one, since)
                 board.stimulate(one, (0, board.value(one)))
                 board.no_sif_yet(one, index + 1, "within the period of the first one")
+                if board.has(one, c.TRANSD_THRESHOLD):
+                    self._each_first(board, one)
+
+    @staticmethod
+    def _each_first(board: Board, one: oracle.Transducer) -> None:
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        board.write(one, c.TRANSD_THRESHOLD, board.packed(one, _LIMIT))
+        for channel in spread(one):
+            if channel:
+                since = board.seen
+                board.stimulate(one, (channel, board.packed(one, 0)))
+                board.sif(one, since)
 
     @staticmethod
     def _is_untouched(board: Board, one: oracle.Transducer) -> bool:

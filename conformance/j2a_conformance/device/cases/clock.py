@@ -166,7 +166,8 @@ class Exchanges(ClockCase):
         ]
         has_frames = board.has_frames
         board.step()  # local time and time differ
-        for nonce in (*range(256), *places, 0, 0xFFFFFFFF):
+        ends = (0, 0, 0xFFFFFFFF, 0xFFFFFFFF, 0)  # twice in a row, too
+        for nonce in (*range(256), *places, *ends):
             before = board.status().local
             self._exchange(board, nonce, before, has_frames=has_frames)
 

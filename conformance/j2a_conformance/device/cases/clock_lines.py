@@ -358,6 +358,7 @@ class TransducerTime(ClockCase):
     EXPECTATION = "TIME, samples and SET are by the time, also after steps; intervals are not."
     REQUIREMENTS = ("J2A-CLOCK-019", "J2A-TRANS-007")
     _FULL_US: Final = 0x7A69584736251403
+    _AHEAD_US: Final = 30_000
 
     def _judge(self, board: Board) -> None:
         devices = transducers_of(board)
@@ -394,6 +395,14 @@ class TransducerTime(ClockCase):
         time = int.from_bytes(devices.read(one, c.TRANSD_SAMPLE)[:8], "little")
         if not before <= time <= after:
             fail(f"{one.name} was set at {time} us, not between {before} and {after} us")
+        due = after + TransducerTime._AHEAD_US
+        devices.write(one, c.TRANSD_SET, struct.pack("<BQ", 0, due) + value)
+        for _ in board.watch(TransducerTime._AHEAD_US + 5 * S):
+            last, time = time, int.from_bytes(devices.read(one, c.TRANSD_SAMPLE)[:8], "little")
+            if time != last:
+                break
+        if time < due:
+            fail(f"{one.name} was set at {time} us, and not at {due} us")
 
     @staticmethod
     def _give(board: Board, devices: transducers.Board, one: types.Transducer) -> None:

@@ -8,7 +8,7 @@ one unless the link is too slow for it.
 """
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Final
 
@@ -261,17 +261,23 @@ class WrittenPeriod(PeriodCase):
     ID = "transducers.period-written"
     EXPECTATION = "A value is sent when PERIOD, as written last, is over since the SIF before."
     REQUIREMENTS = ("J2A-TRANS-011",)
+    _BETWEEN: Final = (
+        ((c.TRANSD_PERIOD, 0), (c.TRANSD_PERIOD, 1)),
+        ((c.TRANSD_ENABLED, 0), (c.TRANSD_ENABLED, 1)),
+        ((c.TRANSD_ENABLED, 1),),
+        ((c.TRANSD_ENABLED, 0), (c.TRANSD_PERIOD, 1), (c.TRANSD_ENABLED, 1)),
+        ((c.TRANSD_ENABLED, 0), (c.TRANSD_PERIOD, 0), (c.TRANSD_PERIOD, 1), (c.TRANSD_ENABLED, 1)),
+    )
 
     def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
-        for change in (
+        changes: tuple[Callable[..., bool], ...] = (
             partial(self._waiting, first=1, then=2),
             partial(self._waiting, first=1, then=1),
             partial(self._waiting, first=_NEVER_US, then=1),
-            partial(self._between, item=c.TRANSD_PERIOD),
-            partial(self._between, item=c.TRANSD_ENABLED),
-            partial(self._between, item=None),
+            *(partial(self._between, writes=writes) for writes in self._BETWEEN),
             self._touched,
-        ):
+        )
+        for change in changes:
             self._in_time(board, one, period_us, partial(change, board, one))
         if board.has(one, c.TRANSD_TRIGGER):
             board.write(one, c.TRANSD_TRIGGER, bytes(8))  # so that nothing waits
@@ -287,19 +293,20 @@ class WrittenPeriod(PeriodCase):
         change = partial(self._period, board, one, then * us)
         return self._in_middle(board, one, us, begun, since, change=change, periods=then)
 
-    def _between(self, board: Board, one: oracle.Transducer, us: int, *, item: int | None) -> bool:
-        """Write PERIOD or ENABLED as 0 and back, or ENABLED as it is, and then give a value."""
+    def _between(
+        self, board: Board, one: oracle.Transducer, us: int, *, writes: Sequence[tuple[int, int]]
+    ) -> bool:
+        """Write items, PERIOD as 0 or as it was, and then give a value."""
         begun = self._refer(board, one)
         self._period(board, one, us)
         since = board.seen
 
         def change() -> None:
-            if item == c.TRANSD_PERIOD:
-                self._period(board, one, 0)
-                self._period(board, one, us)
-            else:
-                for enabled in (b"\1",) if item is None else (b"\0", b"\1"):
-                    board.write(one, c.TRANSD_ENABLED, enabled)
+            for item, value in writes:
+                if item == c.TRANSD_PERIOD:
+                    self._period(board, one, value * us)
+                else:
+                    board.write(one, item, bytes((value,)))
             self._give(board, one, -1)
 
         return self._in_middle(board, one, us, begun, since, change=change)

@@ -62,6 +62,7 @@ class Saving(TransducerCase):
             if is_again:
                 for one in board.all:
                     self._saved(board, one)
+                    self._changed(board, one)
             for one in board.all:
                 self._state(ask_save(board, one), one, c.TRANSD_SAVED)
 
@@ -106,6 +107,27 @@ class Saving(TransducerCase):
             if board.time_us() - begin_us > _LONGEST_US:
                 fail(f"SAVE of {one.name} is SAVING for more than 10 s", suspect=True)
         self._state(ask_save(board, one), one, c.TRANSD_SAVED)
+
+    def _changed(self, board: Board, one: oracle.Transducer) -> None:
+        """Save a transducer that was saved before, with another setting and with the first one."""
+        items = [item for item in (c.TRANSD_ENABLED, c.TRANSD_WATCHDOG) if board.has(one, item)]
+        for item in items[:1]:
+            before = board.read(one, item)
+            for value in (before[:-1] + bytes((before[-1] ^ 1,)), before):
+                board.write(one, item, value)
+                self._told(board, one)
+
+    def _told(self, board: Board, one: oracle.Transducer) -> None:
+        """Save a transducer; where it is SAVED, no other is BUSY."""
+        states = (c.TRANSD_SAVING, c.TRANSD_SAVED)
+        self._state(ask_save(board, one, b"\1"), one, *states)
+        state = self._state(ask_save(board, one), one, *states)
+        other = board.all[board.all.index(one) - 1]
+        again = ask_save(board, other, b"\1")
+        if state == c.TRANSD_SAVED and again.opcode == c.TRANSD_BUSY:
+            fail(f"SAVE of {one.name} is SAVED, and that of {other.name} is BUSY")
+        for saved in (one, other):
+            self._wait(board, saved, board.time_us())
 
     def _itself(self, board: Board, one: oracle.Transducer) -> int:
         """Save a transducer that is being saved, also with what is wrong, and write its settings;

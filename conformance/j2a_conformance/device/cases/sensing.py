@@ -123,7 +123,8 @@ class FullThreshold(Taken):
         board.write(one, c.TRANSD_PERIOD, _HOLD)
         board.write(one, c.TRANSD_THRESHOLD, board.packed(one, _LIMIT))
         values = [board.packed(one, _FILL[number % 2]) for number in range(depth)]
-        for value in (*values, board.packed(one, _BEHIND)):
+        near = board.packed(one, _BEHIND + _LIMIT - 1)  # not taken, so not lost
+        for value in (*values, board.packed(one, _BEHIND), near):
             board.stimulate(one, (channel, value))
         board.write(one, c.TRANSD_PERIOD, bytes(4))
         found: list[bytes] = []
@@ -139,6 +140,44 @@ class FullThreshold(Taken):
         for number in (_BEHIND - _LIMIT + 1, _BEHIND + _LIMIT - 1, _BEHIND):
             self._give(board, one, channel, board.packed(one, number), due=False)
         self._give(board, one, channel, board.packed(one, last), due=True)
+
+
+class FullDecimation(Taken):
+    """Gives sensors with queue and decimation more values than fit, of which every n-th is due."""
+
+    ID = "transducers.decimation-full"
+    EXPECTATION = "The due ones that did not fit are lost, and no others."
+    REQUIREMENTS = ("J2A-TRANS-006", "J2A-TRANS-012")
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors("decimation", queue=True):
+            for channel in spread(one):
+                with board.tuned(one):
+                    self._full(board, one, channel)
+
+    @staticmethod
+    def _full(board: Board, one: oracle.Transducer, channel: int) -> None:
+        since = board.seen
+        board.stimulate(one, (channel, board.value(one)))
+        index, payload = board.sif(one, since)
+        before = int.from_bytes(payload[:2], "little")
+        board.write(one, c.TRANSD_PERIOD, _HOLD)
+        board.write(one, c.TRANSD_DECIMATION, bytes((_EVERY,)))
+        depth = int(one.attributes["queue"])
+        values = [board.value(one) for _ in range((depth + 2) * _EVERY - 1)]
+        for value in values:
+            board.stimulate(one, (channel, value))
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        due = values[_EVERY - 1 :: _EVERY]
+        found: list[bytes] = []
+        while len(found) < depth:
+            index, payload = board.sif(one, index + 1)
+            found += [value for _, _, value in queued(board, one, payload)]
+        if found != due[:depth]:
+            fail(f"{one.name} sent {found} of every {_EVERY} of {values}")
+        lost = (int.from_bytes(payload[:2], "little") - before) % 65536
+        if lost != len(due) - depth:
+            fail(f"{one.name} says that {lost} values were lost, where {len(due) - depth} were")
 
 
 class NoThreshold(Taken):
