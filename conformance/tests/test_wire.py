@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from j2a_conformance.reports._annotate import annotate
+from j2a_conformance.wire import _link
 from j2a_conformance.wire._link import _SIFS_KEPT, Link, Splitter
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, Incomplete, Skipped, decode, encode
-from j2a_transports import pair
+from j2a_transports import TransportError, pair
 
 FRAMES = st.builds(
     Frame,
@@ -99,6 +100,15 @@ def test_a_flood_of_sifs_does_not_fill_the_memory(start):
         assert all(
             one.event.seq == number % 256 for one, number in zip(link.sifs, numbers, strict=True)
         )
+
+
+def test_a_flood_within_a_case_ends_it(monkeypatch):
+    monkeypatch.setattr(_link, "_FRAMES_AT_MOST", 20_000)
+    link = flooded(0)
+    assert link.next_sif(19_999, 60.0) is not None
+    with pytest.raises(TransportError, match="more than 20000 frames came unasked"):
+        link.next_sif(10**9, 60.0)
+    assert len(link.sifs) == 21_000  # with the last read
 
 
 def test_a_few_sifs_are_all_kept():

@@ -24,6 +24,7 @@ _BEFORE_MARKER: Final = re.compile(rb"(?=[\x12\xed])")
 _EVIDENCE_KEPT: Final = 40
 _SENT_KEPT: Final = 256  # writes; enough to find the request of any seq again
 _SIFS_KEPT: Final = 8192  # of the cases before; a sensor at 100 Hz sends fewer in a minute
+_FRAMES_AT_MOST: Final = 250_000  # kept at a time, of some 500 bytes of memory each
 _SEQS: Final = 256
 _SOS: Final = bytes((c.SOS,))
 _SPIN_S: Final = 0.0015
@@ -231,6 +232,8 @@ class Link:
                 self.first = arrival
             self.record("sif" if is_sif else "received", arrival.raw, at_s=now_s)
             (self.sifs if is_sif else self._waiting).append(arrival)
+        if len(self.sifs) + len(self._waiting) > _FRAMES_AT_MOST:
+            raise TransportError(f"more than {_FRAMES_AT_MOST} frames came unasked: a flood")
 
     def next(self, timeout_s: float) -> Arrival | None:
         """Return the next arrival that is no SIF, or None when none came in `timeout_s`."""
