@@ -21,7 +21,17 @@ from typing import TYPE_CHECKING, Final
 from j2a_spec.plural import counted
 
 from j2a import LocalError
-from j2a.cli.plugin import FAILED, OK, CommandFailed, UsageError, note, open_help, seconds, show
+from j2a.cli.plugin import (
+    FAILED,
+    OK,
+    CommandFailed,
+    UsageError,
+    ending_signals,
+    note,
+    open_help,
+    seconds,
+    show,
+)
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config, load_config
 from j2a_bridge.log_limit import LogLimit
 from j2a_bridge.sink_request import SinkRequest, load_sink, sink_classes
@@ -182,9 +192,7 @@ async def run_bridge(
         interrupted.append(number)
         bridge.stop()
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
-            continue  # nohup has it ignored
+    for number in (signal.SIGINT, *ending_signals()):
         loop.add_signal_handler(number, stop, number)
     if limit_s is not None:
         loop.call_later(limit_s, bridge.stop)

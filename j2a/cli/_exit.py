@@ -88,14 +88,18 @@ def file_errors(failed: str) -> Iterator[None]:
         raise UsageError(f"{failed}: {error.strerror}") from None
 
 
+def ending_signals() -> list[int]:
+    """Return the signals beside Ctrl-C that are to end a program: `nohup` has SIGHUP ignored."""
+    return [number for number in _ENDING if signal.getsignal(number) is not signal.SIG_IGN]
+
+
 def end_on_signals() -> None:
     """Make SIGTERM and SIGHUP end the program as Ctrl-C does, by an exception.
 
-    It passes every `finally`. `nohup` keeps SIGHUP ignored.
+    It passes every `finally`.
     """
-    for number in _ENDING:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _on_signal)
+    for number in ending_signals():
+        signal.signal(number, _on_signal)
 
 
 def ignore_signals() -> None:

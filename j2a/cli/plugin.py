@@ -7,7 +7,16 @@ of the bridge use nothing else of it.
 """
 
 from j2a.cli._descriptors import transducer_facts
-from j2a.cli._exit import FAILED, INTERRUPTED, LINK, OK, USAGE, CommandFailed, UsageError
+from j2a.cli._exit import (
+    FAILED,
+    INTERRUPTED,
+    LINK,
+    OK,
+    USAGE,
+    CommandFailed,
+    UsageError,
+    ending_signals,
+)
 from j2a.cli._files import write_files
 from j2a.cli._help import open_help
 from j2a.cli._link import (
@@ -41,6 +50,7 @@ __all__ = [
     "add_listen_argument",
     "check_listen_url",
     "connect",
+    "ending_signals",
     "finite_seconds",
     "json_of",
     "note",
