@@ -207,11 +207,15 @@ class TransducerServer:
                 actuator.waiting[channel] = due_us + by_us, data
 
     def catch_up(self, now_us: int) -> list[Action]:
-        """Set the channels whose time has come, before a request is answered (J2A-TRANS-015).
+        """Do what SET and TRIGGER asked for by now, before a request is answered (J2A-TRANS-015).
+
+        So a later SET or TRIGGER replaces only what waits (J2A-TRANS-016, J2A-TRANS-018).
 
         Returns: what is to be called.
         """
         actions: list[Action] = []
+        for sensor in self._sensors:
+            self._start(sensor, now_us, actions)
         for actuator in self._actuators:
             self._move(actuator, now_us, actions)
         return actions

@@ -142,6 +142,26 @@ class TestActuators:
             assert (code, struct.unpack("<QbQb", sample)[2:]) == (c.RET_OK, (at, value))
             assert moved == [(1, 50)] * (value == 50)
 
+    @pytest.mark.requirement("J2A-TRANS-018")
+    @pytest.mark.parametrize(("then", "measured"), [(199, 0), (200, 1), (250, 1)])
+    def test_a_trigger_replaces_none_whose_time_has_come_though_the_thread_is_late(
+        self, then, measured
+    ):
+        now, started = 100, []
+        runner = TransducerRunner(
+            TransducerServer(read_transds("SENSOR(shot, 0, shot, X, 1, u8, none, (trigger))")),
+            lambda *_: None,
+            threading.Lock(),
+            local_us=lambda: now,
+            clock_us=lambda: now,
+            pace=1.0,
+        )
+        runner.on_trigger("shot", lambda: started.append(now))
+        for now, due_us in [(100, 200), (then, 300)]:  # noqa: B007 - the runner looks at it
+            order = bytes((0, c.TRANSD_TRIGGER)) + struct.pack("<Q", due_us)
+            assert runner.request(order) == (c.RET_OK, b"")
+        assert started == [then] * measured
+
     def test_a_host_that_falls_silent(self, device, board):
         moved = threading.Event()
         servo = board.transducers["servo"]
