@@ -148,12 +148,14 @@ class Device(FunctionRegistry):
         if room < MAX_PAYLOAD:
             known[PROP_ROOM] = str(room)
         known |= properties or {}
-        if clock is not None:
-            known[PROP_CAPS] = f"{CAP_CLOCK} {known.get(PROP_CAPS, '')}".rstrip()
-        if transducers is not None:
-            known[PROP_CAPS] = f"{CAP_TRANSDUCERS} {known.get(PROP_CAPS, '')}".rstrip()
-        if boot:
-            known[PROP_CAPS] = f"{CAP_BOOT} {known.get(PROP_CAPS, '')}".rstrip()
+        parts = (
+            (CAP_BOOT, boot),
+            (CAP_TRANSDUCERS, transducers is not None),
+            (CAP_CLOCK, clock is not None),
+        )
+        if own := [token for token, is_there in parts if is_there]:
+            given = known.get(PROP_CAPS, "").split()
+            known[PROP_CAPS] = " ".join(dict.fromkeys([*own, *given]))  # none twice (J2A-CAP-001)
         super().__init__(known, self._take_debug, room, interface)
         self._byte_timeout_s = byte_timeout_s
         self.trace = trace

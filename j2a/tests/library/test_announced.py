@@ -13,6 +13,7 @@ from j2a.events import Reply
 from j2a.io.functions import FunctionTable
 from j2a.protocol.announced import Announced
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES, DeviceInfo
+from j2a.types.transducers import Descriptors
 
 from .support import served
 from .test_many import content, drive, know
@@ -168,6 +169,17 @@ class TestCapabilities:
                     return await board.capabilities()
 
             assert asyncio.run(ask()) == {"interface", "future", "acme.turbo"}
+
+    @pytest.mark.requirement("J2A-CAP-001")
+    @pytest.mark.parametrize("interface", [False, True])
+    @pytest.mark.parametrize("given", ["x clock", "clock x", "transducers x clock", "x"])
+    def test_a_device_announces_none_twice(self, given, interface):
+        made = j2a.Device(
+            {"j2a.caps": given}, clock=0, transducers=Descriptors(), interface=interface
+        )
+        with served(made) as url, j2a.connect(url) as board:
+            tokens = board.properties["j2a.caps"].split(" ")
+        assert sorted(tokens) == ["clock", *["interface"] * interface, "transducers", "x"]
 
 
 @pytest.mark.requirement("J2A-LIMIT-009")
