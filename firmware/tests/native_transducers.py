@@ -83,6 +83,11 @@ class NativeTransducers:
     def now(self) -> int:
         return self._now.value
 
+    @now.setter
+    def now(self, us: int) -> None:
+        """Let time pass without a turn."""
+        self._now.value = us
+
     def variable(self, name: str, kind: type[_Variable]) -> _Variable:
         """Return a variable of the library, by its name in C."""
         return kind.in_dll(self._c, name)

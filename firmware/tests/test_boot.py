@@ -148,6 +148,30 @@ def test_a_chip_tells_why_it_was_reset(build, port, mcu, link):
 
 
 @pytest.mark.usefixtures("avr")
+@pytest.mark.requirement("J2A-BOOT-002")
+@pytest.mark.parametrize(("port", "mcu", "link"), [
+    ("avr-serial", "atmega328p", ""), ("avr-usb", "atmega32u2", "&link=usb"),
+])  # fmt: skip
+def test_a_chip_that_its_watchdog_has_reset_says_so(firmware, port, mcu, link):
+    """Though USB must clear the flag, which keeps the watchdog on, long before a host comes."""
+    own = """
+    #include <avr/io.h>
+    __attribute__((naked, used, section(".init3"))) static void before_main(void) {
+        MCUSR = _BV(WDRF) | _BV(EXTRF);
+    }"""
+    elf = firmware(own, port=port, MCU=mcu)
+    frames = []
+
+    def trace(direction, item):
+        if direction == "rx" and not isinstance(item, bytes):
+            frames.append(item)
+
+    with j2a.connect(f"sim:{elf}?mcu={mcu}{link}", trace=trace) as board:
+        assert board.functions.beat() == 1
+    assert BOOT.parse(frames[0].payload).cause == c.BOOT_WATCHDOG
+
+
+@pytest.mark.usefixtures("avr")
 @pytest.mark.parametrize(("flags", "cause"), [
     (1, c.BOOT_POWER), (5, c.BOOT_POWER), (2, c.BOOT_PIN), (4, c.BOOT_BROWNOUT),
     (8, c.BOOT_WATCHDOG), (10, c.BOOT_WATCHDOG), (0, c.BOOT_UNKNOWN), (16, c.BOOT_UNKNOWN),

@@ -115,3 +115,19 @@ def test_an_order_whose_time_comes_while_its_reply_is_sent(library, last, ready,
     assert device.turn()
     [(at_us, _)] = device.told()
     assert due_us < at_us <= begin_us
+
+
+@pytest.mark.requirement("J2A-TRANS-016", "J2A-TRANS-018")
+@pytest.mark.parametrize("late_us", [0, 1, BYTE_US])
+@pytest.mark.parametrize(("one", "other"), list(product(ORDERS, repeat=2)))
+def test_an_order_whose_time_has_come_is_replaced_by_none(library, one, other, late_us):
+    """The next one may be asked for before the turn that would have executed it."""
+    device = device_after(library, SECOND)
+    due_us = device.now + AHEAD_US
+    order(device, *one, due_us)
+    device.turn()
+    device.now = due_us + late_us
+    order(device, *other, due_us + AHEAD_US)
+    device.turn(due_us + late_us)
+    device.turn(due_us + AHEAD_US)
+    assert [at_us for at_us, _ in device.told()] == [due_us + late_us, due_us + AHEAD_US]

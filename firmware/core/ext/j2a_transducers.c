@@ -421,6 +421,11 @@ static bool are_in_range(const j2a_transducer *t, const uint8_t *values, uint8_t
     return true;
 }
 
+/* Whether an order has not had its turn yet though its time has come: it waits no more, so another one does not replace it. */
+static J2A_NOINLINE bool is_late(const j2a_due *order) {
+    return order->waits && order->due_us <= clock_us();
+}
+
 static uint8_t set_channels(const j2a_transducer *t, const uint8_t *bytes, uint8_t length) {
     const uint8_t first = bytes[0];
     const uint8_t *value = bytes + 1 + J2A_TIME_BYTES;
@@ -436,6 +441,8 @@ static uint8_t set_channels(const j2a_transducer *t, const uint8_t *bytes, uint8
     for (; count != 0; count--, value += t->size) {
         const uint8_t channel = (uint8_t)(first + (length - 1 - J2A_TIME_BYTES) / t->size - count);
         j2a_due *const waiting = &t->waiting[channel];
+        if (is_late(waiting))
+            set(t, channel, t->values + channel * t->size);
         waiting->waits = due_us > clock_us();
         waiting->due_us = due_us;
         if (waiting->waits)
@@ -712,6 +719,8 @@ static uint8_t write_item(const j2a_transducer *t, uint8_t item, const uint8_t *
     case J2A_TRANSD_SET:
         return set_channels(t, value, length);
     default: /* TRIGGER */
+        if (is_late(t->trigger))
+            t->start();
         has_orders = true;
         t->trigger->due_us = j2a_get_u64(value);
         t->trigger->waits = t->trigger->due_us > clock_us();
