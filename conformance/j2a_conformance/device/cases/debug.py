@@ -12,6 +12,7 @@ from j2a_conformance.wire._expected import first_difference
 
 _AT_MOST = 100_000
 _SHIFTS = 10
+_SAME_SEQ = 9  # calls
 _QUICK_BYTE_S = 0.0005  # at which hundreds of lines take a few seconds
 _LOSSY_SHIFTS = 6  # more exchanges in a row than that hardly ever pass unharmed
 _TARGETS = (1, 8, 9, 31, 32, 33, 63, 64, 65, 126, 127, 128, 129, 253, 254, 255, 256, 257, 509, 510,
@@ -104,7 +105,7 @@ class Nothing(Case):
 
 class Text(Case):
     """Has `ret` write a line for each of its codes and takes it, by requests with payloads of every
-    length; then has several lines written and takes them together.
+    length, several with the same seq; then has several lines written and takes them together.
     """
 
     ID = "debug.text"
@@ -129,14 +130,16 @@ class Text(Case):
 
     @staticmethod
     def _by_lengths(peer: Peer, group: Iterable[int]) -> None:
-        """Have a line written and taken for each length of the request."""
+        """Have a line written and taken for each length of the request, many with one seq."""
         drain(peer)
         requests = []
         for length in group:
-            code = length % c.RET_MAX
+            code, seq = length % c.RET_MAX, length // _SAME_SEQ
             requests.append(peer.request(peer.opcode("ret"), bytes((code,)), code, b""))
             data, line = payload_of(length, length), line_of(code)
-            requests.append(peer.request(peer.opcode(c.GET_DEBUG), data, 0, line))
+            requests.append(peer.request(peer.opcode(c.GET_DEBUG), data, 0, line, seq))
+            if length % 3:
+                requests.append(peer.request(peer.opcode(c.GET_DEBUG), b"", 0, b"", seq))
         peer.ask_all(requests)
 
     @staticmethod
