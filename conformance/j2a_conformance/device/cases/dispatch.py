@@ -1,19 +1,24 @@
 """Which function is called, what it returns, and in which order (J2A-DISP)."""
 
 import struct
+from collections.abc import Iterator
+from typing import Final
 
 from j2a_spec import constants as c
-from j2a_spec.oracle import checksum
+from j2a_spec.oracle import Frame, checksum
 
-from j2a_conformance._judge import fail, skip
+from j2a_conformance._judge import fail, inform, skip
 from j2a_conformance.device._case import Case
-from j2a_conformance.device._peer import Expected, Peer, Request, refusal
-from j2a_conformance.wire._dimensions import payload_of
+from j2a_conformance.device._peer import MANY_ONLY, Expected, Peer, Request, refusal
+from j2a_conformance.wire._dimensions import damaged, payload_of, spread
 
 from .sums import with_sum
 
 _DELAY_MS = 40
 _CLOCK = 0.8  # a device may run on an oscillator without a crystal
+_HARMLESS: Final = (
+    *c.BUILTINS, "getTime", "add", "ret", "sif", "overruns", "divide",
+)  # fmt: skip
 
 
 class OneReply(Case):
@@ -31,6 +36,60 @@ class OneReply(Case):
             requests += [peer.many(c.GET_ECHO_MANY), peer.request(peer.opcode(c.MANY), b"")]
         for request in requests:
             peer.play(request.wire, request.expected, alone=True)
+
+
+class OwnReplies(Case):
+    """Sends replies back as requests, byte by byte: echoes, refusals, the mapping, and what `ret`
+    returns for the opcode of each function that may be called so, and for others.
+    """
+
+    ID = "dispatch.own-replies"
+    EXPECTATION = "Each is answered like any other request: it is no echo of the line."
+    REQUIREMENTS = ("J2A-DISP-001", "J2A-DISP-002", "J2A-SEQ-001")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        if peer.link.lossy:  # what is sent is made of what came
+            inform("the link was declared lossy, so replies are not what they were")
+        for n, request in enumerate(self._first(peer)):
+            reply = peer.ask(request)
+            own = self._own(peer, reply)
+            if n % 3 == 0:
+                peer.ask_all((request, own))
+            else:
+                peer.ask(own)
+            peer.ask(own)
+        peer.barrier()
+
+    @staticmethod
+    def _first(peer: Peer) -> Iterator[Request]:
+        """Yield requests whose replies name no function, or one that takes anything."""
+        for n in range(12):
+            yield peer.echo(payload_of(n * 3, n), n * 29 % 256)
+            yield from (peer.request(o, b"x", c.ERR_OPCODE) for o in peer.out_of_range()[-1:])
+        if peer.claims.mapped:
+            yield peer.request(0, b"", c.RET_OK)
+        if peer.has(c.MANY):
+            yield peer.request(peer.opcode(c.MANY), b"", c.RET_FAILED, b"")
+            yield peer.many(0, code=c.ERR_OPCODE)
+        if peer.has("ret"):
+            harmless = {peer.opcode(name) for name in _HARMLESS if peer.has(name)}
+            last = [opcode for opcode in peer.out_of_range() if opcode <= c.RET_MAX]
+            for n, value in enumerate(sorted({0, *harmless, *last[::29], *last[-1:]})):
+                yield peer.request(peer.opcode("ret"), bytes((value,)), value, b"", n * 37 % 256)
+
+    @staticmethod
+    def _own(peer: Peer, reply: Frame) -> Request:
+        """Return a reply as a request, and what is due for it."""
+        opcode, payload, seq = reply.opcode, reply.payload, reply.seq
+        code: int | None = None
+        if opcode in peer.out_of_range() or (not opcode and not peer.claims.mapped):
+            code = c.ERR_OPCODE
+        elif not opcode:
+            code = c.RET_OK
+        elif opcode == peer.echo_opcode:
+            return peer.echo(payload, seq)
+        return peer.request(opcode, payload, code, seq=seq)
 
 
 class InOrder(Case):
@@ -150,7 +209,9 @@ class ReturnValues(Case):
 
 
 class ReservedValues(Case):
-    """Has a function return each value from 0xFE down to 0xF0, and 0xFF."""
+    """Has a function return each value from 0xFE down to 0xF0, and 0xFF; again behind what is
+    refused in each way, and behind what is not.
+    """
 
     ID = "dispatch.reserved-values"
     EXPECTATION = "0xFF in each reply, so that no function can imitate an error of the protocol."
@@ -163,10 +224,35 @@ class ReservedValues(Case):
         for value in (*range(c.RET_FAILED - 1, c.RET_MAX, -1), c.RET_FAILED):
             peer.ask(peer.request(opcode, bytes((value,)), c.RET_FAILED, b""))
         peer.ask(peer.request(opcode, b"", c.RET_FAILED, b""))
+        values = range(c.RET_MAX + 1, c.RET_FAILED + 1)
+        for n, (stream, due) in enumerate(self._ahead(peer)):
+            first = n * 5 % len(values)
+            requests = [
+                peer.request(opcode, bytes((value,)), c.RET_FAILED, b"")
+                for value in (*values[first:], *values[:first])
+            ]
+            peer.play_all([(stream, due), *((r.wire, [r.expected]) for r in requests)])
+
+    @staticmethod
+    def _ahead(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        """Yield exchanges that end in different ways."""
+        requests = [peer.echo(b""), peer.request(0), peer.request(peer.opcode("ret"), b"\x01", 1)]
+        requests += [peer.request(o, b"x", c.ERR_OPCODE) for o in peer.out_of_range()[-1:]]
+        requests += [peer.direct(name) for name in sorted(MANY_ONLY) if peer.has(name)]
+        if peer.longest < c.MAX_PAYLOAD:
+            requests.append(peer.echo(bytes(peer.longest + 1)))
+        if peer.has(c.MANY):
+            funcs = {0, peer.opcode("ret"), peer.opcode(c.MANY), *peer.out_of_range()[-1:]}
+            requests += [peer.many(func, code=c.ERR_OPCODE) for func in sorted(funcs)]
+            requests += [peer.many(c.GET_ECHO_MANY), peer.request(peer.opcode(c.MANY), b"")]
+        yield from ((request.wire, [request.expected]) for request in requests)
+        wrong, seq = damaged(peer.echo_opcode, 3)
+        yield wrong, [refusal(seq, c.ERR_CHECKSUM)]
+        yield wrong[:-1] + b"\x7d\xff", [refusal(seq, c.ERR_FRAMING)]
 
 
 class OpcodeZero(Case):
-    """Calls opcode 0."""
+    """Calls opcode 0, without a payload and with payloads of several lengths."""
 
     ID = "dispatch.opcode-0"
     EXPECTATION = "The mapping with the code 0x00, or error 0xF0 where it is built out; always so."
@@ -178,6 +264,9 @@ class OpcodeZero(Case):
         replies = [peer.ask(peer.request(0, b"", code)).payload for _ in range(3)]
         if len(set(replies)) > 1:
             fail("opcode 0 does not return the same thing each time")
+        if not peer.claims.mapped:  # else it is mapping.request-payload
+            payloads = (payload_of(length, n) for n, length in enumerate(spread(step=61)))
+            peer.ask_all(peer.request(0, payload, code) for payload in payloads)
         if peer.claims.mapped and not replies[0].startswith(f"{c.GET_MAPPING}\0".encode()):
             fail("opcode 0 returned the mapping before, and does not any more")
 
