@@ -1,14 +1,18 @@
-"""The ends of a transfer: short headers, empty last chunks, the end of the offsets (J2A-MANY)."""
+"""Transfers: their ends, short headers, the end of the offsets, several at once (J2A-MANY)."""
+
+from collections.abc import Iterator
 
 from j2a_spec import constants as c
 
 from j2a_conformance._judge import fail, inform
 from j2a_conformance.device._case import Case
-from j2a_conformance.device._peer import Peer
+from j2a_conformance.device._peer import Peer, Request
+from j2a_conformance.wire._dimensions import payload_of
 
 from .many import echo_many
 
 _END = 2**32 - 1
+_LONG_S = 0.5
 
 
 class ShortHeaderPayload(Case):
@@ -78,6 +82,75 @@ class EndOfOffsets(Case):
                     fail(f"{name} returns {reply} for a read at the offset {offset}")
         if not names:
             inform("no function of this device can be read")
+
+
+class Interleaved(Case):
+    """Reads all that can be read through a2jMany in turn, a chunk of each, all at the same offsets;
+    once more with another kind of request between two chunks: echoes, refusals, the mapping, and
+    writes that fail.
+    """
+
+    ID = "many.interleaved"
+    EXPECTATION = "The same bytes as when each is read alone: no read leaves anything behind."
+    REQUIREMENTS = (
+        "J2A-PROP-001",
+        "J2A-IFACE-001",
+        "J2A-MANY-001",
+        "J2A-MANY-002",
+        "J2A-MANY-008",
+    )
+    LEVEL = "many"
+    NEEDS = (c.MANY,)
+
+    def _run(self, peer: Peer) -> None:
+        contents = (c.GET_PROPERTIES, c.GET_INTERFACE, c.GET_TRANSDS, "store")
+        names = [name for name in contents if peer.has(name)]
+        if peer.has("store"):
+            data = payload_of(min(peer.longest_chunk, 128), 3)  # there is room for so much
+            peer.ask(peer.many("store", c.FLAG_WRITE | c.FLAG_LAST, 0, data))
+        wholes = {name: peer.read_all(name) for name in names}
+        for order in (names, names[::-1]):
+            self._read(peer, wholes, order, [])
+        most = max(map(len, wholes.values()), default=0)
+        if most * peer.link.byte_s < _LONG_S:
+            self._read(peer, wholes, names, list(_others(peer, names)))
+        if not names:
+            inform("no function of this device can be read")
+
+    @staticmethod
+    def _read(
+        peer: Peer, wholes: dict[str, bytes], names: list[str], between: list[Request]
+    ) -> None:
+        """Read a chunk of each until all are whole; the longest chunk gives the offsets."""
+        offset = number = 0
+        while any(offset < len(wholes[name]) for name in names):
+            size = 0
+            for name in names:
+                if between:
+                    peer.ask(between[number % len(between)])
+                    number += 1
+                reply = peer.ask_many(peer.many(name, offset=offset))
+                due = wholes[name][offset : offset + len(reply.data)]
+                if (reply.code, reply.offset, reply.data) != (c.RET_OK, offset, due):
+                    fail(f"{reply} in a read of {name} at offset {offset}, amid others")
+                if not reply.data and offset < len(wholes[name]):
+                    fail(f"an empty chunk of {name} at {offset}, the end is {len(wholes[name])}")
+                size = max(size, len(reply.data))
+            offset += size
+
+
+def _others(peer: Peer, names: list[str]) -> Iterator[Request]:
+    """Yield requests of other kinds, which change nothing."""
+    yield peer.probe()
+    yield peer.many(c.GET_ECHO_MANY, c.FLAG_WRITE | c.FLAG_LAST, 0, b"between")
+    yield peer.many(0, code=c.ERR_OPCODE)
+    if peer.claims.mapped:
+        yield peer.request(0, b"", c.RET_OK)
+    for name in names:
+        yield peer.many(name, offset=2**31)
+        if name != "store":
+            yield peer.many(name, c.FLAG_WRITE, 0, b"no")
+    yield peer.request(peer.opcode(c.MANY), b"", c.RET_FAILED)
 
 
 class ByteOrder(Case):
