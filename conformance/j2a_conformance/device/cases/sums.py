@@ -12,6 +12,8 @@ from j2a_conformance.device._case import Case
 from j2a_conformance.device._peer import Expected, Peer, many_payload, refusal
 from j2a_conformance.wire._dimensions import lane_offset, lengths, payload_of
 
+_ESCAPED = (*sorted(c.STUFFED), 0x11, 0x13, 0x7C, 0x7E, 0xEC, 0xEE, 0x00, 0xFF, 0x41)
+
 
 def with_sum(seq: int, opcode: int, payload: bytes, value: int) -> bytes:
     """Return the wire bytes of a request with a checksum of one's own."""
@@ -91,7 +93,10 @@ class WrongFormula(Case):
 
 
 class EveryWrong(Case):
-    """Sends a request with each difference from its checksum, and with each wrong checksum."""
+    """Sends a request with each difference from its checksum, and with each wrong checksum; and
+    requests with ESC and each byte in the place of their checksum, which is one to be escaped, one
+    beside those, or another one.
+    """
 
     ID = "sum.every-wrong-value"
     EXPECTATION = "Error 0xF3 for each, with the seq of the request, and no echo."
@@ -106,7 +111,24 @@ class EveryWrong(Case):
             if value != checksum(seq, peer.echo_opcode, b"sum"):
                 wire = with_sum(seq, peer.echo_opcode, b"sum", value)
                 peer.play(wire, refusal(seq, c.ERR_CHECKSUM))
+        peer.play_all(self._escaped(peer))
         peer.barrier()
+
+    @staticmethod
+    def _escaped(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        """Yield requests with an escape pair as their checksum, and good ones behind them."""
+        opcode = peer.echo_opcode
+        for value in _ESCAPED:
+            for byte in range(256):
+                seq = peer.seq()
+                payload = bytes((checksum(seq, opcode, b"\0") ^ value,))
+                body = bytes((seq, opcode, len(payload))) + payload
+                wire = bytes((c.SOF,)) + stuff(body) + bytes((c.ESC, byte))
+                code = c.ERR_CHECKSUM if byte not in (c.SOF, c.SOS, 0xFF) else c.ERR_FRAMING
+                right = code == c.ERR_CHECKSUM and byte + 1 == value
+                good = peer.probe()
+                due = Expected(seq, c.ECHO, payload) if right else refusal(seq, code)
+                yield wire + good.wire, [due, good.expected]
 
 
 class FlippedBits(Case):
