@@ -15,6 +15,7 @@ from j2a_conformance.device._paused import REFUSALS, TRIES, passes_in_pieces, se
 from j2a_conformance.device._peer import Expected, Peer, Request, many_payload
 from j2a_conformance.wire._dimensions import lane_offset, lengths, payload_of, spread
 
+from .frame import answers
 from .sif import check_counter, periodic
 from .stuffing import escapable
 
@@ -216,6 +217,11 @@ class GivesUp(Case):
         for cut in (2, 3, 4, 6, 7):  # with an escape that does not end, in every field
             part = plain.wire[:cut] + bytes((c.ESC,))
             peer.attempts(lambda p=part: self.cut(peer, p, plain.seq))  # type: ignore[misc]
+        for value in (*sorted(c.STUFFED), c.ESC + 1):  # in the place of a checksum of this value
+            filler = checksum(plain.seq, peer.echo_opcode, b"\0") ^ value
+            whole = peer.echo(bytes((filler,)), plain.seq).wire
+            part = whole[: -2 if value in c.STUFFED else -1] + bytes((c.ESC,))
+            peer.attempts(lambda p=part: self.cut(peer, p, plain.seq))  # type: ignore[misc]
         peer.barrier()
 
     @staticmethod
@@ -352,6 +358,44 @@ class SeqUnknown(Case):
         except Judged as judged:
             # A device that was stalled for 30 ms takes both parts for one frame, rightly.
             raise Judged(Verdict.FAILED, judged.reason, suspect=True) from judged
+
+
+class BehindInterruption(Case):
+    """Interrupts a request behind each of its bytes by the start of another one, and pauses for
+    7 ms before that and within it; then lets the other one stop behind each of its bytes.
+    """
+
+    ID = "timing.behind-interruption"
+    EXPECTATION = (
+        "Error 0xF4 for the first one if its seq had come; the other one is answered where its own "
+        "pauses are short, and gets 0xF2 where it stops, if its own seq has come."
+    )
+    REQUIREMENTS = ("J2A-TIME-001", "J2A-TIME-002", "J2A-FRAME-007", "J2A-ERR-005", "J2A-ERR-009")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        old, (new, due) = awkward(peer)[0], escaped(peer)
+        for n in range(max(len(old), len(new)) - 1):
+            first = old[: 1 + n % (len(old) - 1)]
+            ahead = answers(first + bytes((c.SOF,)))
+            for at in {1, 1 + n % (len(new) - 1)}:
+                parts = [first, new[:at], new[at:]]
+                accepts(peer, parts, 0.007, *ahead, due, enough=1)
+                stops = [*ahead, Expected(due.seq, c.ERR_TIMEOUT)] if seq_known(new, at) else ahead
+                self._stops(peer, first + new[:at], new[at:], stops)
+
+    @staticmethod
+    def _stops(peer: Peer, stream: bytes, rest: bytes, due: list[Expected]) -> None:
+        """Send a request and the beginning of another one, and its rest after a while."""
+
+        def body() -> None:
+            peer.play(stream, *due)
+            # Counted from the end of the last byte, which may still be on its way.
+            wait_s = 0.03 * max(peer.link.scale, 1.0) + len(stream) * peer.link.byte_s
+            peer.silence(wait_s, "behind a frame that interrupted another one and stopped")
+            peer.play(rest, alone=True)
+
+        peer.attempts(body)
 
 
 class RestSkipped(Case):
