@@ -1,6 +1,7 @@
 """The boot SIF, by which a device says that it began anew (J2A-BOOT)."""
 
 import struct
+from typing import Final
 
 from j2a_spec import constants as c
 from j2a_spec.grammar import BOOT
@@ -11,6 +12,8 @@ from j2a_conformance.device._case import Case
 from j2a_conformance.device._peer import Peer
 
 from .sif import check_counter, compare, frames, periodic, show
+
+_SEQS: Final = 260  # more than there are seqs
 
 
 def _boots(peer: Peer) -> list[int]:
@@ -35,7 +38,9 @@ class _BootCase(Case):
 
 
 class First(_BootCase):
-    """Looks at what came first on the link, which a reset preceded."""
+    """Looks at what came first on the link, which a reset preceded; the first that a device is sent
+    then is a broken request, which may be there before it begins.
+    """
 
     ID = "boot.first"
     EXPECTATION = "The boot SIF, with the seq 0, before the first reply; no other SIF before it."
@@ -83,7 +88,9 @@ class Payload(_BootCase):
 
 
 class Once(_BootCase):
-    """Calls, reads and causes SIFs and broken frames; counts the boot SIFs of the link."""
+    """Calls, reads and causes SIFs and broken frames, and so many SIFs in all that their seqs
+    begin anew; counts the boot SIFs of the link.
+    """
 
     ID = "boot.once"
     EXPECTATION = "One boot SIF at the most, and none later than the first SIF of the link."
@@ -108,6 +115,8 @@ class Once(_BootCase):
             asked = bytes((opcode,)) + bytes(opcode % 9)
             peer.ask(peer.request(peer.opcode("sif"), asked, c.RET_OK))
             compare(peer, before, opcode, bytes(opcode % 9))
+        for _ in range(_SEQS - len(peer.link.sifs)):
+            peer.ask(peer.request(peer.opcode("sif"), b"\x21", c.RET_OK))
         if peer.has("sifPeriod"):
             with periodic(peer, 1):
                 for _ in range(20):
