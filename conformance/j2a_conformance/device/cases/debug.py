@@ -245,7 +245,8 @@ class Boundaries(Case):
 
 class Overflow(Case):
     """Has lines written, 1, 2, 4 up to 512 without taking any, and then takes them all; where some
-    are lost, also so that 256 of them or a multiple of 256 bytes are.
+    are lost, also so that 256 of them or a multiple of 256 bytes are, and again before all that was
+    kept has been taken.
     """
 
     ID = "debug.more-and-lost"
@@ -276,6 +277,25 @@ class Overflow(Case):
             counts += [*bytes_wrap, kept + 256]
         for lines in counts:
             peer.attempts(lambda n=lines: self._held(peer, n))  # type: ignore[misc]
+        for calls in (1, 2, 3) if peer.link.byte_s < _QUICK_BYTE_S else ():
+            peer.attempts(lambda n=calls: self._again(peer, kept, n))  # type: ignore[misc]
+
+    @staticmethod
+    def _again(peer: Peer, kept: int, calls: int) -> None:
+        """Have text lost, take some in so many calls, and have text lost again, twice."""
+        drain(peer)
+        write(peer, [0x05] * (kept + 9))
+        for _ in range(2):
+            for n in range(calls):
+                _, code = take(peer)
+                if bool(code & c.DEBUG_LOST) != (n == 0):
+                    fail(f"bit 1 is {code >> 1 & 1} in call {n + 1} since text was lost")
+                if not code & c.DEBUG_MORE:
+                    drain(peer)
+                    return  # it keeps no more than these calls take
+            write(peer, [0x06] * (kept + 9))
+        if not drain(peer)[1]:
+            fail("bit 1 is 0, though text was lost again before all of it was taken")
 
     @staticmethod
     def _held(peer: Peer, lines: int) -> int | None:
