@@ -205,6 +205,43 @@ class Values(Case):
                 echo.judge(echo.pack(n), echo.values(n))
 
 
+class TooLong(Case):
+    """Sends texts and bytes of each length that a request holds, and that do not fit into a reply
+    behind the other results.
+    """
+
+    ID = "types.too-long"
+    EXPECTATION = "Another return value than 0x00, and no payload: none is cut."
+    REQUIREMENTS = ("J2A-TYPE-006",)
+    LEVEL = "interface"
+    NEEDS = (c.GET_INTERFACE,)
+
+    def _run(self, peer: Peer) -> None:
+        seen = False
+        for echo in echoes(peer):
+            for payload in self._payloads(echo):
+                seen = True
+                request = peer.request(peer.opcode(echo.function.name), payload, None, b"")
+                if peer.ask(request).opcode == c.RET_OK:
+                    fail(f"{echo.function.name} returns 0x00 for {len(payload)} bytes")
+            echo.judge(echo.pack(1), echo.values(1))
+        if not seen:
+            inform("what fits into a request fits into the reply of each described echo, too")
+
+    @staticmethod
+    def _payloads(echo: Echo) -> Iterator[bytes]:
+        *fixed, last = echo.parameters
+        result = echo.function.results[-1]
+        if last.element not in ("text", "bytes") or result.name != last.name:
+            return
+        others = echo.function.results[:-1]
+        least = c.MAX_PAYLOAD - oracle.size(others, echo.whole) + 1
+        most = echo.peer.longest - oracle.size(fixed, echo.whole)
+        begin = oracle.payload(tuple(fixed), echo.whole).build([*echo.values(0)[:-1], None])
+        for length in range(least, min(most, last.count or c.MAX_PAYLOAD) + 1):
+            yield begin + b"n" * length
+
+
 class Bools(Case):
     """Sends every byte as a bool."""
 
