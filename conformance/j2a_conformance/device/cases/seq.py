@@ -136,9 +136,7 @@ def _many_kinds(peer: Peer, opcode: int) -> Iterator[_Kind]:
 
     for flags in (0, c.FLAG_WRITE, c.FLAG_WRITE | c.FLAG_LAST):
         yield lambda n, flags=flags: exchange(n, flags)  # type: ignore[misc]
-    yield lambda n: peer.request(opcode, b"x" * (n % c.MANY_HEADER), c.RET_FAILED, b"", _SEQ)
-    refused = many_payload(0, c.FLAG_WRITE, 0, b"x")
-    yield lambda _: peer.request(opcode, refused, c.ERR_OPCODE, None, _SEQ)
+    yield lambda _: peer.request(opcode, b"", c.RET_FAILED, b"", _SEQ)
     for name in (c.GET_PROPERTIES, c.GET_INTERFACE, c.GET_TRANSDS):
         if peer.has(name):
             read = many_payload(peer.opcode(name), 0, 0, b"")

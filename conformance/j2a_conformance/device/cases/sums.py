@@ -93,10 +93,7 @@ class WrongFormula(Case):
 
 
 class EveryWrong(Case):
-    """Sends a request with each difference from its checksum, and with each wrong checksum; and
-    requests with ESC and each byte in the place of their checksum, which is one to be escaped, one
-    beside those, or another one.
-    """
+    """Sends a request with each difference from its checksum, and with each wrong checksum."""
 
     ID = "sum.every-wrong-value"
     EXPECTATION = "Error 0xF3 for each, with the seq of the request, and no echo."
@@ -111,8 +108,23 @@ class EveryWrong(Case):
             if value != checksum(seq, peer.echo_opcode, b"sum"):
                 wire = with_sum(seq, peer.echo_opcode, b"sum", value)
                 peer.play(wire, refusal(seq, c.ERR_CHECKSUM))
-        peer.play_all(self._escaped(peer))
         peer.barrier()
+
+
+class WrongEscape(Case):
+    """Sends requests with ESC and each byte in the place of their checksum, which is one to be
+    escaped, one beside those, or another one.
+    """
+
+    ID = "sum.wrong-escape"
+    EXPECTATION = (
+        "The echo for the right byte alone; else error 0xF3, or 0xF4 for 0xFF and a start byte."
+    )
+    REQUIREMENTS = ("J2A-SUM-003", "J2A-STUFF-003", "J2A-STUFF-004", "J2A-ERR-002", "J2A-ERR-003")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        peer.play_all(self._escaped(peer))
 
     @staticmethod
     def _escaped(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:

@@ -143,7 +143,7 @@ def _others(peer: Peer, names: list[str]) -> Iterator[Request]:
     """Yield requests of other kinds, which change nothing."""
     yield peer.probe()
     yield peer.many(c.GET_ECHO_MANY, c.FLAG_WRITE | c.FLAG_LAST, 0, b"between")
-    yield peer.many(0, code=c.ERR_OPCODE)
+    yield from (peer.request(opcode, b"x", c.ERR_OPCODE) for opcode in peer.out_of_range()[-1:])
     if peer.claims.mapped:
         yield peer.request(0, b"", c.RET_OK)
     for name in names:
