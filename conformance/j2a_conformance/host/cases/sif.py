@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Sequence
+from itertools import product
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import checksum, stuff
@@ -326,7 +327,9 @@ class Cuts(HostCase):
 
 
 class Missing(HostCase):
-    """Leaves 0 to 254 SIFs out, one by one and summed up, and lets the counter run over."""
+    """Leaves 0 to 254 SIFs out, one by one and summed up, before a SIF of each opcode, also such as
+    look like boot SIFs, and lets the counter run over.
+    """
 
     ID = "host.sif.missing"
     EXPECTATION = "The host counts exactly those that are missing."
@@ -335,8 +338,8 @@ class Missing(HostCase):
 
     def _run(self, host: Host) -> None:
         anchor(host)
-        gaps = [gap * 101 % 255 for gap in range(255)]
-        sifs: Sifs = [(0x64, content(n, 7)) for n in range(len(gaps))]
+        gaps = [(7 + number * 101) % 255 for number in range(256)]
+        sifs: Sifs = [(opcode, content(opcode, 7)) for opcode in range(256)]
         for some in (slice(None), slice(None, None, -1)):
             host.send(b"".join(host.sif(*s, n) for s, n in zip(sifs[some], gaps, strict=True)))
             handed(host, sifs[some], sum(gaps))
@@ -349,12 +352,59 @@ class Missing(HostCase):
         for skipped in (0, 1, 2, 100, 127, 128, 129, 254, 0, 0):
             host.send(host.sif(0x60, b"gap", skipped) + host.sif(0x61, b"next"))
             handed(host, [(0x60, b"gap"), (0x61, b"next")], skipped)
+        boots: Sifs = [(c.BOOT, bytes(n)) for n in (0, c.BOOT_BYTES - 1, c.BOOT_BYTES, 8)]
+        for boot, gap in product(boots, (1, 0, 2, 254)):
+            host.send(host.sif(*boot, gap) + host.sif(0x69, b"behind"))
+            handed(host, [boot, (0x69, b"behind")], gap)
         for _ in range(3):
             sent: Sifs = [(0x62, b"%d" % n) for n in range(100)]
             host.send(b"".join(host.sif(*one) for one in sent))
             handed(host, sent)
         host.send(host.sif(0x63, b"1", 3) + host.sif(0x63, b"2", 4) + host.sif(0x63, b"3"))
         handed(host, [(0x63, b"1"), (0x63, b"2"), (0x63, b"3")], 7)
+
+
+class Noise(HostCase):
+    """Sends SIFs of every length, with and without escapes, before and behind 1 to 64 bytes that
+    start no frame, each value there is as the first and as the last of them: before another SIF, a
+    reply and the end of what is sent in one piece.
+    """
+
+    ID = "host.sif.noise"
+    EXPECTATION = "The bytes are skipped; each SIF is handed over, and each call gets its reply."
+    REQUIREMENTS = ("J2A-FRAME-006", "J2A-FRAME-009", "J2A-SIF-003")
+    LEVEL = "sif"
+
+    def _run(self, host: Host) -> None:
+        anchor(host)
+        clean = bytes(value for value in range(256) if value not in c.MARKERS)
+        plain = bytes(value for value in clean if value != c.ESC)
+        rng = random.Random(9)
+        for values, special in product((plain, clean), (False, True)):
+            sent, stream = [], b""
+            for number in LENGTHS:
+                payload = content(number, 4) if special else bytes(rng.choices(plain, k=number))
+                sent.append((number * 3 % 256, payload))
+                stream += host.sif(*sent[-1]) + _no_frame(values, number, rng)
+            host.flood("SIFs and bytes that are no frames", stream)
+            handed(host, sent)
+        sent = []
+        for number in range(64):
+            request = host.asked()
+            first, last = (_no_frame((plain, clean)[number % 2], number + n, rng) for n in (1, 64))
+            sent += [(0x67, content(number, 4)), (0x68, b"%d" % number)]
+            before, behind = (host.sif(*sif) for sif in sent[-2:])
+            host.send(before + first + request.reply(3, b"own") + last + behind + first)
+            host.replied(request)
+            host.replied_with(3, b"own")
+        handed(host, sent)
+
+
+def _no_frame(values: bytes, number: int, rng: random.Random) -> bytes:
+    """Return 1 to 64 of these values, which one is the first and the last by a number."""
+    first, last = values[number % len(values)], values[number * 37 % len(values)]
+    inner = bytes(rng.choices(values, k=max(number * 5 % 64 - 1, 0)))
+    return bytes((first,)) + inner + bytes((last,) * (number % 64 > 0))
 
 
 class Burst(HostCase):
