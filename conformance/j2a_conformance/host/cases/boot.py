@@ -1,6 +1,7 @@
 """A device that restarts while the link stays, as a host sees it (J2A-BOOT)."""
 
 import math
+import struct
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -31,6 +32,7 @@ from .seq import BARRIER_AGAIN_MS, barrier
 from .sif import handed
 from .timing import ends_within
 from .types import described
+from .types import spell as spell_values
 
 _ADD = "add(a i32, b i32) i32\n"
 _RXBUF = 4096
@@ -410,7 +412,7 @@ class Transfers(_BootCase):
             fail("the transfer is said to be done, though the device has restarted amid it")
 
 
-_CHANGED: Final = (
+_ADD_CHANGED: Final = (
     "add(a i64, b i32) i32\n",
     "add(a i32, b i64) i32\n",
     "add(a i32, b i32) i64\n",
@@ -421,17 +423,47 @@ _CHANGED: Final = (
     "add(a i32, b i32, c i32) i32\n",
     "add(a i32, b i32) (sum i32, more i32)\n",
     "add(a i32, b i32[1]) i32\n",
+    "add(b i32, a i32) i32\n",
+    "add(x i32, b i32) i32\n",
+    "add(a i32, x i32) i32\n",
+    "add(A i32, b i32) i32\n",
+    "add(a i32, b i32) (sum i32)\n",
+    "add(a i32 mm, b i32) i32\n",
+    "add(a i32, b i32) i32 mm\n",
     "add(a f32, b f32) f32\n",
     "add\n",
     "add many\n",
     "",
     "sub(a i32, b i32) i32\n",
 )
+_DIV: Final = "div(a i32 mm, b i32) (quotient i32, rest i32)\n"
+_DIV_CHANGED: Final = (
+    "div(a i32 mm, b i32) (rest i32, quotient i32)\n",
+    "div(a i32 mm, b i32) (quotient i32, left i32)\n",
+    "div(a i32 mm, b i32) (ratio i32, rest i32)\n",
+    "div(a i32 mm, b i32) (quotient i32)\n",
+    "div(a i32 mm, b i32) (rest i32)\n",
+    "div(a i32 mm, b i32) (quotient i32, rest i32, more i32)\n",
+    "div(a i32 mm, b i32) (quotient i32, rest u32)\n",
+    "div(a i32 mm, b i32) (quotient i32, rest i32 mm)\n",
+    "div(a i32 mm, b i32) (quotient i32[1], rest i32)\n",
+    "div(a i32 mm, b i32) i32\n",
+    "div(a i32 mm, b i32) i32[2]\n",
+    "div(a i32 mm, b i32)\n",
+    "div(b i32, a i32 mm) (quotient i32, rest i32)\n",
+    "div(b i32 mm, a i32) (quotient i32, rest i32)\n",
+    "div(a i32, b i32 mm) (quotient i32, rest i32)\n",
+    "div(a i32 cm, b i32) (quotient i32, rest i32)\n",
+    "div(a i32, b i32) (quotient i32, rest i32)\n",
+    "div(b i32) (quotient i32, rest i32)\n",
+    "div(quotient i32, rest i32) (a i32 mm, b i32)\n",
+)
 
 
 class Signature(_BootCase):
-    """Comes back with a function of another signature, or without it, and then with the right one
-    at another opcode.
+    """Comes back with a function of another signature, in whose place, name, type, unit, order or
+    number of parameters or results one thing differs, or without it; and then with the right one at
+    another opcode.
     """
 
     ID = "host.boot.signature"
@@ -439,19 +471,23 @@ class Signature(_BootCase):
     REQUIREMENTS = ("J2A-BOOT-006",)
 
     def _judge(self, host: Host) -> None:
-        host.job("hold add")
-        host.outcome("held")
-        for number, functions in enumerate(_CHANGED):
-            _end_a_call(host, booting(functions, before=number % 3))
-            _, requests = host.do(f"held [40,2] {host.limit_ms}", "changed")
-            if requests:
-                fail(f"a request was sent, though `add` is {functions.strip() or 'gone'} now")
-            _end_a_call(host, booting(before=number % 4))
-            host.job(f"held [1,2] {host.limit_ms}")
-            numbers = (1).to_bytes(4, "little") + (2).to_bytes(4, "little")
-            request = host.request(host.device.opcode("add"), numbers)
-            host.reply(request, c.RET_OK, (3).to_bytes(4, "little"))
-            host.outcome("values 3")
+        for right, results, others in ((_ADD, [9], _ADD_CHANGED), (_DIV, [3, 1], _DIV_CHANGED)):
+            host.become(booting(right))
+            name = right.partition("(")[0]
+            host.do(f"hold {name}", "held")
+            job = f"held [7,2] {host.limit_ms}"
+            for number, functions in enumerate(others):
+                _end_a_call(host, booting(functions, before=number % 3))
+                _, requests = host.do(job, "changed")
+                if requests:
+                    fail(
+                        f"a request was sent, though `{name}` is {functions.strip() or 'gone'} now"
+                    )
+                _end_a_call(host, booting(right, before=number % 4))
+                host.job(job)
+                request = host.request(host.device.opcode(name), struct.pack("<2i", 7, 2))
+                host.reply(request, c.RET_OK, struct.pack(f"<{len(results)}i", *results))
+                host.outcome(f"values {spell_values(results if results[1:] else results[0])}")
 
 
 _MOVE: Final = "move(to point, how mode)\n"
@@ -695,7 +731,7 @@ def _go_on(host: Host, wires: list[bytes]) -> None:
 
 class NotAnyMore(_BootCase):
     """Comes back with firmware that does not announce the capability, and, once the host has learnt
-    that, sends SIFs of the opcode 0xFF while calls wait and while none does.
+    that, sends SIFs of the opcode 0xFF while calls wait and, with a gap before it, while none does.
     """
 
     ID = "host.boot.not-any-more"
@@ -713,8 +749,8 @@ class NotAnyMore(_BootCase):
             before = host.number("restarts")
             sent = [(c.BOOT, payload[:length]) for length in (7, 0, 7, 6)]
             _go_on(host, [host.sif(*sif) for sif in sent])
-            host.send(host.sif(*sent[0]))
-            handed(host, [*sent, sent[0]])
+            host.send(host.sif(*sent[0], skipped=3))
+            handed(host, [*sent, sent[0]], missing=3)
             if host.number("restarts") != before:
                 fail("the host takes a SIF for a boot SIF of a device that does not announce boot")
         host.become(BOOTING)
