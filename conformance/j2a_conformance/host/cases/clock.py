@@ -136,7 +136,9 @@ class _Scripted:
         fail(f"the host sent {_MOST} requests and does not stop")
 
     def answer(self, request: Request) -> None:
-        """Answer a request to a2jClock."""
+        """Answer a request, which must be one to a2jClock."""
+        if request.opcode != (due := self.host.device.opcode(c.CLOCK)):
+            fail(f"a request to the opcode {request.opcode} came, where that of a2jClock is {due}")
         item = request.payload[0] if request.payload else -1
         if item == c.CLOCK_EXCHANGE and self.back_us:
             received, self.back_us = self._received_us - self.back_us, 0

@@ -8,7 +8,7 @@ from j2a_conformance._judge import fail
 from j2a_conformance.host._device import DEMO, Device
 from j2a_conformance.host._host import Host
 
-from .boot import boot, booting
+from .boot import BOOTING, boot, booting, restart
 from .clock import _ROUNDS, _S, BOARD, _ClockCase, _Scripted, _Spoilt
 
 _TOO_SLOW_S: Final = 1.05  # a bound of the host is 1 s at most
@@ -18,7 +18,12 @@ _LONGER: Final = ((0.01, 15_000), (0.03, 40_000), (0.04, 60_000), (0.055, 65_534
 _OFF_US: Final = 100
 """So much less may the host have measured, whose clock is another one."""
 _TRIES: Final = 10
-_BOOTING: Final = booting(f"{c.CLOCK}\n", caps=f"{c.CAP_INTERFACE} {c.CAP_BOOT} {c.CAP_CLOCK}")
+
+
+def _booting(before: int = 0) -> Device:
+    """Return a board with boot and a clock, with so many functions more before a2jClock."""
+    caps = f"{c.CAP_INTERFACE} {c.CAP_BOOT} {c.CAP_CLOCK}"
+    return booting(f"{c.CLOCK}\n", before, caps=caps)
 
 
 class Unusable(_ClockCase):
@@ -96,7 +101,7 @@ class Boots(_ClockCase):
     ID = "host.clock.boots"
     EXPECTATION = "No ADJUST that rests on what was before the boot SIF, and none sets the clock."
     REQUIREMENTS = ("J2A-CLOCK-026", "J2A-CLOCK-028")
-    DEVICE: Device = _BOOTING
+    DEVICE: Device = _booting()
 
     def _run(self, host: Host) -> None:
         host.do("restarts", "restarts")  # who does not know it ends the case as unimplemented
@@ -117,3 +122,33 @@ class Boots(_ClockCase):
         host.asked(b"waits")
         boot(host)
         host.outcome("restarted")
+
+
+class BootsMoved(_ClockCase):
+    """Restarts, behind jobs that have asked and set the clock, as firmware with a2jClock at another
+    opcode, or without it; has the host make an exchange, measure the clock and set it.
+    """
+
+    ID = "host.clock.boots-moved"
+    EXPECTATION = (
+        "Each request goes to the opcode that a2jClock has now, and none where it is gone."
+    )
+    REQUIREMENTS = ("J2A-BOOT-005",)
+    DEVICE: Device = _booting()
+
+    def _run(self, host: Host) -> None:
+        host.do("restarts", "restarts")  # who does not know it ends the case as unimplemented
+        jobs = ["clock-exchange 1", "clock-measure 2", f"clock-sync {_ROUNDS}"]
+        device = _Scripted(host)
+        for board in (_booting(), _booting(1), _booting(3), BOOTING, _booting()):
+            restart(host, board, [])
+            device.reset()
+            for job in jobs:
+                if board is not BOOTING:
+                    device.play(f"{job} {host.limit_ms}")
+                    host.outcome("exchanged", "clock")
+                    continue
+                _, requests = host.do(f"{job} {host.limit_ms}", "refused", "failed", "error")
+                if requests:
+                    fail(f"opcode {requests[0].opcode} was called for a clock that is gone")
+            jobs = jobs[1:] + jobs[:1]
