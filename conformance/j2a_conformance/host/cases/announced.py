@@ -27,6 +27,15 @@ _OTHER_FORMS = (
 )  # fmt: skip
 
 
+# Of each number of digits, and where 7, 8, 15 and 16 bits end.
+_MINORS = (
+    1, 2, 9, 10, 99, 100, 127, 128, 255, 256, 512, 999, 1000, 9999, 10000, 32767, 32768, 65535,
+    65536, 65537, 99999,
+)  # fmt: skip
+_MAJORS = ("0.9", "2.0", "10.1", "0.1", "9.65536", "100.0", "256.1", "257.1", "1000.1", "32769.1",
+           "65535.0", "65537.1", "99999.99999")  # fmt: skip
+
+
 def _announcing(version: str, *more: tuple[str, str], mask: int = 0xFFFFFFFF) -> Device:
     """Return a device of this j2a.spec whose content no probe can tell from its beginning."""
     return replace(
@@ -97,14 +106,15 @@ class Newer(HostCase):
 
     def _run(self, host: Host) -> None:
         unknown = ("j2a.future", "1 2 3"), ("\x20 odd ~", "\u00b5")
-        for version in ("1.1", "1.2", "1.10", "1.99999"):
+        for minor in _MINORS:
+            version = f"1.{minor}"
             host.become(_announcing(version, *unknown))
             _read_and_write(host)
 
 
 class AnotherMajor(HostCase):
-    """Has the host read and write 700 bytes of devices of versions 0.9, 2.0 and 10.1, once more
-    when it has read their version, and call `ping`.
+    """Has the host read and write 700 bytes of devices of versions 0.9, 2.0, 10.1 and others, of up
+    to five digits, once more when it has read their version, and call `ping`.
     """
 
     ID = "host.version.another-major"
@@ -116,7 +126,7 @@ class AnotherMajor(HostCase):
     LEVEL = "properties"
 
     def _run(self, host: Host) -> None:
-        for version in ("0.9", "2.0", "10.1"):
+        for version in _MAJORS:
             host.become(_announcing(version))
             for size in (_SIZE, _SIZE, 7):
                 _, requests = host.do(f"write {STORE} {spelt(size)} {host.limit_ms}", *_REFUSED)
