@@ -3,6 +3,7 @@
 import json
 from collections.abc import Collection
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 from j2a_spec import constants as c
@@ -182,6 +183,7 @@ class Bools(HostCase):
         host.outcome(f"values {spell(due)}")
 
 
+_NO_MODES = (-1, -3, 2, 3, -32768, 32767, 65534, 65536, -65538, 0.5, None, "none", "", "Slow")
 _REFUSED: tuple[tuple[str, list[Any]], ...] = (
     ("add", [1]), ("add", [1, 2, 3]), ("add", []), ("add", [1, 2**31]), ("add", [-(2**31) - 1, 1]),
     ("add", [1, 1.5]), ("add", ["1", 2]), ("add", [None, 2]),
@@ -198,7 +200,7 @@ _REFUSED: tuple[tuple[str, list[Any]], ...] = (
     ("scalars", [True, "1", 0, 0, 0, 0, 0]), ("scalars", [True, 0, "1", 0, 0, 0, 0]),
     ("scalars", [True, 0, 0, "1", 0, 0, 0]), ("scalars", [True, 0, 0, 0, 0.5, 0, 0]),
     ("scalars", [True, 0, 0, 0, 0, "1", 0]),
-    ("shapes", [2, [[0, 0], [0, 0]], ""]), ("shapes", [0, [[0, 0]], ""]),
+    *(("shapes", [no, [[0, 0], [0, 0]], ""]) for no in _NO_MODES), ("shapes", [0, [[0, 0]], ""]),
     ("shapes", [0, [[0, 0], [0, 0], [0, 0]], ""]), ("shapes", [0, [[0, 0], [0]], ""]),
     ("shapes", [0, [[0, 0], [0, 32768]], ""]), ("shapes", [0, [[0, 0], [0, 0]], "123456789"]),
     ("shapes", [0, [[0, 0], [0, 0]], "\u00fc\u00fc\u00fc\u00fc\u00fc"]),
@@ -207,8 +209,30 @@ _REFUSED: tuple[tuple[str, list[Any]], ...] = (
 )  # fmt: skip
 
 
+_ARRAYS = _device(
+    _whole(
+        "words(w u16[])\nnumbers(n i8[4])\nflags(f bool[5])\nmodes(m mode[4])\nmore(m mode[])\n"
+        "points(p point[3])\nstates(s state[])\nfloats(f f32[3])\n",
+        f"{_DEFINITIONS}struct state (n u8, m mode)\n",
+    )
+)
+_IN_ARRAYS: tuple[tuple[str, list[Any], tuple[Any, ...]], ...] = (
+    # a function, a value of its parameter, and elements that this cannot have
+    ("words", [0, 65535, 7, 1], (65536, -1, 0.5, "1", None)),
+    ("numbers", [-128, 127, 0, 5], (128, -129, 255, "1")),
+    ("flags", [True, False, True, True, False], (2, -1, "true")),
+    ("modes", [0, 1, -2, 1], _NO_MODES),
+    ("more", [1, -2, 0], _NO_MODES),
+    ("points", [[0.5, -32768], [0, 32767], [1, 0]], ([0, 32768], [0], [0, 1, 2], ["x", 0], 5)),
+    ("states", [[0, -2], [255, 0], [7, 1]], ([256, 0], [-1, 0], *([0, no] for no in _NO_MODES))),
+    ("floats", [0.5, -1, 0], (1e39, -1e39, "x", None)),
+)
+
+
 class Refused(HostCase):
-    """Has the host call functions with arguments that their signatures do not admit."""
+    """Has the host call functions with arguments that their signatures do not admit, also at each
+    place of arrays.
+    """
 
     ID = "host.types.refused"
     EXPECTATION = "The host refuses, and nothing is sent."
@@ -218,11 +242,26 @@ class Refused(HostCase):
 
     def _run(self, host: Host) -> None:
         for name, arguments in _REFUSED:
-            text = spell(arguments)
-            _, requests = host.do(f"typed {name} {text} {host.limit_ms}", "refused")
-            if requests:
-                fail(f"a request was sent for {name}({text}), which its signature does not admit")
+            _refused(host, name, arguments)
         typed(host, "add", [1, 2], [3])
+        self._places(host)
+
+    @staticmethod
+    def _places(host: Host) -> None:
+        """Judge a value that is wrong at each place of an array, alone and in a structure."""
+        host.become(_ARRAYS)
+        for name, right, wrong in _IN_ARRAYS:
+            typed(host, name, [right], [])
+            for value, at in product(wrong, range(len(right))):
+                _refused(host, name, [[*right[:at], value, *right[at + 1 :]]])
+
+
+def _refused(host: Host, name: str, arguments: list[Any]) -> None:
+    """Judge that a host refuses arguments that the signature does not admit."""
+    text = spell(arguments)
+    _, requests = host.do(f"typed {name} {text} {host.limit_ms}", "refused")
+    if requests:
+        fail(f"a request was sent for {name}({text}), which its signature does not admit")
 
 
 _ROOMS = (84, 96, 128, 252, 254)  # 84 bytes take the names up to that of a2jGetInterface
@@ -380,6 +419,23 @@ _BAD_LINES = (
     "add(a u8)\r", "add(a u8) !slow(0)", "add(a u8) # ", "add(a u8) # a\x07",
     "add(a u8, b u8, a u8)",
 )  # fmt: skip
+_ZEROS = "0" * 19  # before the one digit of a number that is as long as may be
+_BAD_ENUMS = (
+    # one number in two spellings
+    ("u8", "a=1, b=01"), ("u8", "a=0, b=-0"), ("i8", "a=-0, b=0"), ("i64", "a=00, b=000"),
+    ("i8", "a=-1, b=-01"), ("i16", "a=-00, b=1, c=0"), ("u8", "a=255, b=1, c=0255"),
+    ("u32", f"a={_ZEROS}7, b=7"), ("i32", f"a=-7, b=2, c=-{_ZEROS}7"), ("u64", "a=10, b=010"),
+    # none of the integer
+    ("u8", "a=0256"), ("u8", "a=0, b=-1"), ("u8", "a=1, b=256, c=2"), ("i8", "a=128"),
+    ("i8", "a=-0129"), ("u16", "a=65536"), ("i16", "a=32768"), ("i16", "a=0, b=-32769"),
+    ("u32", "a=4294967296"), ("i32", "a=2147483648"), ("i32", "a=-2147483649"),
+    ("u64", "a=18446744073709551616"), ("i64", "a=9223372036854775808"),
+    ("i64", "a=-9223372036854775809"),
+    # no number
+    ("u8", f"a=0{_ZEROS}1"), ("u8", "a=+1"), ("u8", "a=0x1"), ("u8", "a="), ("i8", "a=-"),
+    ("i8", "a=--1"), ("u8", "a= 1"), ("u8", "a=1 "), ("u8", "a=1.0"), ("u8", "a=1_0"),
+    ("u8", "a=\u0661"), ("u8", "a=\u00b9"), ("u8", "a=b"), ("u8", "a=1e0"),
+)  # fmt: skip
 _BAD_DEFINITIONS = (
     "enum m u8 (a=0, a=1)", "enum m u8 (a=256)", "enum m u8 (a=1, b=1)", "enum m f32 (a=1)",
     "enum m u8 ()", "struct m (a text)", "struct u8 (a u16)", "struct m (a u8)\nstruct m (a u8)",
@@ -387,6 +443,9 @@ _BAD_DEFINITIONS = (
     "sif m 1 ()\nsif o 2 ()\nsif n 1 ()", "sif m 1 ()\nsif o 2 ()\nsif m 3 ()",
     "struct m (a u8)\nstruct o (a u8)\nstruct m (a u8)", "struct m (a u8, b u8, a u8)",
     "enum m u8 (a=0, b=1, a=2)", "enum m u8 (a=0, b=1, c=0)",
+    *(f"enum m {integer} ({values})" for integer, values in _BAD_ENUMS),
+    "sif m 1 ()\nsif n 01 ()", "sif m 01 ()\nsif n 001 ()", "sif m 00 ()\nsif o 2 ()\nsif n 0 ()",
+    "sif m 0001 ()", "sif m -0 ()", "sif m +1 ()", "sif m 0x1 ()",
 )  # fmt: skip
 _FINE = "fine(a u8) u8\n"
 _RIGHT_LINES = f"{_FINE}add(a u8)\n"
@@ -403,6 +462,26 @@ _BROKEN = (
     *(_whole(f"{_FINE}{line}\n") for line in _BAD_LINES),
     *(_whole(_RIGHT_LINES, f"{line}\n") for line in _BAD_DEFINITIONS),
 )
+
+
+class Spellings(HostCase):
+    """Is a device that spells the numbers of its enumerations and SIFs in every way there is."""
+
+    ID = "host.interface.spellings"
+    EXPECTATION = "The host takes each for the number that it is."
+    REQUIREMENTS = ("J2A-TYPE-003", "J2A-TYPE-008")
+    LEVEL = "interface"
+    DEVICE = described(
+        "add(s small, w wide) small\n",
+        f"enum small i8 (a=01, b=-0, c=-001, d=-128, e={_ZEROS}7)\n"
+        "enum wide u64 (f=00, g=010, h=18446744073709551615)\nsif beat 07 ()\nsif other 70 ()\n",
+    )
+
+    def _run(self, host: Host) -> None:
+        for small, wide in product((1, 0, -1, -128, 7), (0, 10, 2**64 - 1)):
+            typed(host, "add", [small, wide], [small])
+        for small, wide in ((2, 0), (-7, 0), (8, 0), (1, 8), (1, 1), (1, 2**64 - 2)):
+            _refused(host, "add", [small, wide])
 
 
 class Broken(HostCase):
