@@ -3,8 +3,9 @@
 import json
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, Final
 
 from j2a_spec import constants as c
@@ -57,8 +58,10 @@ actuator motor 201 1 f32
  range -1.5, 1.5
  topic motor
 actuator lamp 202 2 bool
+actuator bank 203 8 i16
+ range 0, 1000
 """
-_NAMES: Final = "quad,dist,imu,state,level,long,many,wide,fleet,servo,motor,lamp"
+_NAMES: Final = "quad,dist,imu,state,level,long,many,wide,fleet,servo,motor,lamp,bank"
 
 
 def _device(text: str | bytes, **changes: Any) -> Device:
@@ -547,9 +550,9 @@ _TOO_SLOW_S: Final = 1.5
 _BUILTINS: Final = f"{c.GET_TRANSDS} many\n{c.TRANSD}\n"
 
 
-def _booting(text: str) -> Device:
+def _booting(text: str, before: int = 0) -> Device:
     caps = f"{c.CAP_INTERFACE} {c.CAP_BOOT} {c.CAP_TRANSDUCERS}"
-    return replace(booting(_BUILTINS, caps=caps), transds=text.encode())
+    return replace(booting(_BUILTINS, before, caps=caps), transds=text.encode())
 
 
 class Restart(_TransducerCase):
@@ -640,6 +643,40 @@ class RestartClock(_TransducerCase):
         taken(host, "many", [(9, payload)], readings, resets=resets, lost=lost)
 
 
+class RestartMoved(_TransducerCase):
+    """Restarts, behind writes to transducers, as firmware with a2jTransd at another opcode, and the
+    transducers with other ids; has the host write again.
+    """
+
+    ID = "host.transducers.restart-moved"
+    EXPECTATION = "Each request goes to the opcode of now, and carries the id of now."
+    REQUIREMENTS = ("J2A-BOOT-005",)
+    DEVICE = _booting("\nsensor quad 7 1 i16\nactuator lamp 8 1 u8\n")
+
+    def _run(self, host: Host) -> None:
+        host.do("restarts", "restarts")  # who does not know it ends the case as unimplemented
+        for before, quad, lamp in ((1, 7, 8), (0, 8, 7), (3, 1, 2), (3, 2, 1), (2, 7, 8)):
+            self._write(host)
+            text = f"\nsensor quad {quad} 1 i16\nactuator lamp {lamp} 1 u8\n"
+            restart(host, _booting(text, before), [])
+        self._write(host)
+        host.become(BOOTING)
+
+    @staticmethod
+    def _write(host: Host) -> None:
+        found = oracle.parse(host.device.transds or b"").transducers
+        for job, name, item, data in (
+            ("configure quad enabled false", "quad", c.TRANSD_ENABLED, b"\0"),
+            ("actuate lamp 0 5 [9]", "lamp", c.TRANSD_SET, struct.pack("<BQB", 0, 5, 9)),
+            ("configure quad period 0.5", "quad", c.TRANSD_PERIOD, struct.pack("<I", 500_000)),
+        ):
+            host.job(job)
+            payload = bytes((found[name].id, item)) + data
+            request = host.request(host.device.opcode(c.TRANSD), payload)
+            host.reply(request, c.RET_OK, b"" if item == c.TRANSD_SET else data)
+            host.outcome("done")
+
+
 _LATER_US: Final = (1, 2**40, 2**64 - 1)  # an order waits for its time
 # Of no more than 32 characters, and of 33 bytes and more.
 _LONG_TOPICS: Final = (
@@ -647,8 +684,22 @@ _LONG_TOPICS: Final = (
 )  # fmt: skip
 
 
+def _one_wrong(
+    name: str, right: list[Any], wrong: Sequence[Any]
+) -> Iterator[tuple[str, int, int, list[Any]]]:
+    """Yield orders to an actuator that may have these values, from some channels on; each has one
+    that is wrong, each of them at each place.
+    """
+    for value, first in product(wrong, range(0, len(right), 3)):
+        for at in range(first, len(right)):
+            values = [*right[first:at], value, *right[at + 1 :]]
+            yield name, first, 0, values
+
+
 class Refused(_TransducerCase):
-    """Has the host write settings and values that a transducer cannot have, and others."""
+    """Has the host write settings and values that a transducer cannot have, and others; values that
+    it cannot have at each place among such as it can.
+    """
 
     ID = "host.transducers.refused"
     EXPECTATION = "Nothing is sent for those that it cannot have, else the bytes of the oracle."
@@ -696,7 +747,10 @@ class Refused(_TransducerCase):
             ("servo", 0, 0, [1.5]), ("servo", 0, 0, ["1"]), ("servo", -1, 0, [1]),
             ("servo", 0, -1, [1]), ("servo", 0, 2**64, [1]), ("motor", 0, 0, [1.75]),
             ("motor", 0, 0, [2.5]), ("motor", 0, 0, [-2.5]), ("motor", 0, 0, [-2]),
-            ("motor", 1, 0, [0]), ("lamp", 0, 0, [2]),
+            ("motor", 1, 0, [0]), ("lamp", 0, 0, [2]), ("lamp", 0, 0, [True, 2]),
+            *_one_wrong("servo", [100, -100, 7], (101, -101, 127, -128, 1.5, "1")),
+            *_one_wrong("bank", [1000, 0, 1, 7, 999, 500, 2, 3], (1001, -1, 32767, -32768)),
+            *_one_wrong("bank", [0] * 8, (32768, -32769, 0.5, None, "0", [0])),
         ):  # fmt: skip
             spelt = json.dumps(values, separators=(",", ":"))
             for at_us in (time_us, *_LATER_US) if time_us == 0 else (time_us,):
@@ -704,6 +758,7 @@ class Refused(_TransducerCase):
         for name, channel, time_us, sent in (
             ("servo", 0, 0, [100, -100, 7]), ("servo", 2, 2**64 - 1, [-1]), ("servo", 1, 5, [0]),
             ("motor", 0, 2**32, [1.5]), ("motor", 0, 1, [-1.5]), ("lamp", 0, 0, [True, False]),
+            ("bank", 0, 0, [1000, 0, 1, 7, 999, 500, 2, 3]), ("bank", 7, 3, [1000]),
         ):  # fmt: skip
             spelt = json.dumps(sent, separators=(",", ":"))
             host.job(f"actuate {name} {channel} {time_us} {spelt}")
