@@ -67,7 +67,7 @@ def _mostly_broken(peer: Peer) -> bool:
 
 
 class Answers(_Smoke):
-    """Calls opcode 0 a few times; directly behind a reset, first with a wrong checksum."""
+    """Calls opcode 0 a few times."""
 
     ID = "smoke.answer"
     EXPECTATION = (
@@ -91,11 +91,6 @@ class Answers(_Smoke):
         seen: deque[Arrival] = deque(maxlen=_KEPT)
         earlier: set[int] = set()
         late = False
-        if peer.claims.fresh and not peer.link.lossy:
-            # What is there when a device begins may be broken; `boot.first` looks at what it does.
-            broken = peer.request(0)
-            peer.link.send(broken.wire[:-1] + bytes((broken.wire[-1] ^ 1,)))
-            earlier.add(broken.seq)
         for _ in range(peer.link.lossy or _TRIES):
             request = peer.request(0)
             peer.link.send(request.wire)

@@ -38,9 +38,7 @@ class _BootCase(Case):
 
 
 class First(_BootCase):
-    """Looks at what came first on the link, which a reset preceded; the first that a device is sent
-    then is a broken request, which may be there before it begins.
-    """
+    """Looks at what came first on the link, which a reset preceded."""
 
     ID = "boot.first"
     EXPECTATION = "The boot SIF, with the seq 0, before the first reply; no other SIF before it."
