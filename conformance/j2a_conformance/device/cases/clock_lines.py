@@ -18,6 +18,7 @@ from .sif import frames
 _HOUR: Final = 3600 * S
 _REACHED_US: Final = 2_050_000
 _SHORT_US: Final = 400_000
+_HELD_US: Final = 10_900_000  # behind an adjustment it is in HOLDOVER
 
 
 class Steps(ClockCase):
@@ -91,12 +92,15 @@ class Slews(ClockCase):
         for off, rate in (
             *((900, 0), (-900, 0), (900, -20_000), (-900, 20_000), (900, 70_000)),
             *((3000, 0), (-3000, 5_000)),  # at 1000 ppm
+            # With the correction beyond the largest rate, and below it.
+            *((3000, c.CLOCK_MAX_RATE), (-3000, -c.CLOCK_MAX_RATE)),
+            *((900, 9_500_000), (900, -c.CLOCK_MAX_RATE)),
         ):
             board.step(rate=rate)
-            self._check_told(board, board.adjust(off, rate=rate))
+            self._check_told(board, board.adjust(off, rate=rate), rate)
             self._check_rates(list(board.watch(300_000 if rate else 600_000)))
-            self._check_told(board, board.adjust_back(off, rate=rate))
-            self._check_told(board, board.status())
+            self._check_told(board, board.adjust_back(off, rate=rate), rate)
+            self._check_told(board, board.status(), rate)
         board.step()
         for off in (400, -400, 7, -7, 18, -18, 4, -3, 2600, -6000):
             board.adjust(
@@ -113,15 +117,17 @@ class Slews(ClockCase):
         board.wait(_REACHED_US + 1_000_000)
 
     @staticmethod
-    def _check_told(board: Board, told: Any) -> None:
-        """What a reply tells of the rate must show in the time after it."""
+    def _check_told(board: Board, told: Any, rate: int) -> None:
+        """What a reply tells of the rate must show in the time after it, as the correction may
+        change a little; `rate` is that of the target.
+        """
         later = board.wait(100_000)
         passed = later.local - told.local
         if passed > _SHORT_US:
             board.peer.link.note("the link is too slow to compare the rate of a reply")
             return
         moved, said = later.time - told.time - passed, passed * told.rate / 1e9
-        if abs(moved - said) > 10 + abs(moved) / 4:
+        if abs(moved - said) > 10 + abs(moved - passed * rate / 1e9) / 4:
             fail(f"a reply tells {told.rate} ppb, but the time moved by {moved} us in {passed} us")
 
     @staticmethod
@@ -237,11 +243,19 @@ class Ages(ClockCase):
 
 
 class States(ClockCase):
-    """Adjusts within and beyond the bounds of LOCKED."""
+    """Adjusts within and beyond the bounds of LOCKED, also just so, with uncertainties of each
+    size.
+    """
 
     ID = "clock.states"
     EXPECTATION = "SETTLING after a step and far from the target, else LOCKED."
     REQUIREMENTS = ("J2A-CLOCK-015", "J2A-CLOCK-017")
+    _SIZES: Final = (
+        *(0, 1, c.CLOCK_SETTLED_US - 1, c.CLOCK_SETTLED_US, c.CLOCK_SETTLED_US + 1),
+        *(1 << bit for bit in range(4, 32)),
+        *(100, 500, 70_000, c.CLOCK_UNKNOWN - 1, c.CLOCK_UNKNOWN),
+    )
+    _NEAR_US: Final = (3, 8, 25)  # from the bound: the links differ in what they let see
 
     def _judge(self, board: Board) -> None:
         for given in (0, 1, 500, c.CLOCK_UNKNOWN):
@@ -251,10 +265,16 @@ class States(ClockCase):
             for off in (4, -4, 200, -200, 3000, -3000):
                 board.adjust(off, uncertainty=given)
                 board.adjust(0, uncertainty=given)
-        # By an uncertainty of each size, and one whose lower bits are small.
-        for number, given in enumerate((*(1 << bit for bit in range(4, 32)), 70_000, 2**32 - 2)):
+        for number, given in enumerate(self._SIZES):
             board.adjust((200, -3000, -200, 3000)[number % 4], uncertainty=given)
             board.adjust(0, uncertainty=given)
+            known = 0 if given == c.CLOCK_UNKNOWN else given
+            limit = max(c.CLOCK_SETTLED_US, known)
+            near = self._NEAR_US[number % len(self._NEAR_US)]
+            for off in (limit - near, limit + near):
+                # Behind a step the time is at the target, so the distance is known well.
+                board.step(uncertainty=0 if number % 2 else c.CLOCK_UNKNOWN - 1)
+                board.adjust(off if number // 2 % 2 else -off, uncertainty=given)
 
 
 class Uncertainties(ClockCase):
@@ -281,7 +301,8 @@ class Uncertainties(ClockCase):
 
 class Holdover(ClockCase):
     """Does not adjust the clock for more than 10 s of its local time, in which there are exchanges
-    and requests that are refused; then adjusts it again.
+    and requests that are refused, and in which it is at its target, or gets there only when they
+    are over; then adjusts it again.
     """
 
     ID = "clock.holdover"
@@ -295,11 +316,12 @@ class Holdover(ClockCase):
         "J2A-CLOCK-016",
         "J2A-CLOCK-017",
     )
+    _LONGEST_US: Final = 20 * S  # a target that is reached later is not waited for
     # How it is stepped, how it is led from there, and what ends HOLDOVER.
     _ROUNDS: tuple[tuple[dict[str, int], dict[str, int] | None, dict[str, int]], ...] = (
         (
             {"uncertainty": 10, "wander": 40_000},
-            {"rate": -50_000, "uncertainty": 10, "wander": 40_000},
+            {"off_us": 12_000, "rate": -50_000, "uncertainty": 10, "wander": 40_000},
             {"off_us": -2500, "rate": -50_000},
         ),
         (
@@ -313,7 +335,7 @@ class Holdover(ClockCase):
             {"off_us": -300, "rate": 9, "uncertainty": c.CLOCK_UNKNOWN},
             {"off_us": 2500, "mode": c.CLOCK_STEP},
         ),
-        ({"uncertainty": 2**31}, {"off_us": -20_000}, {"off_us": -3600 * S}),
+        ({"uncertainty": 2**31}, {"off_us": -13_500}, {"off_us": -3600 * S}),
     )
 
     def _judge(self, board: Board) -> None:
@@ -325,11 +347,14 @@ class Holdover(ClockCase):
             board.step(**stepped)
             if led is not None:
                 board.adjust(**led)
-            board.wait(9_700_000, 0.1)
+            board.wait(_HELD_US - 1_200_000, 0.1)
             self._disturb(board)
             board.wait(1_200_000, 0.1)
             if board.status().state != c.CLOCK_HOLDOVER:
                 fail("the state is not HOLDOVER after 10 s")
+            reached_us = _REACHED_US + 1000 * abs((led or {}).get("off_us", 0))
+            if reached_us < self._LONGEST_US:
+                board.wait(reached_us - _HELD_US, 0.1)
             board.adjust(**again)
             board.wait(100_000)
 
