@@ -1,5 +1,6 @@
 """Transducers: what describes them, as text in pieces (J2A-TRANS)."""
 
+from itertools import permutations
 from typing import Final
 
 from j2a_spec import constants as c
@@ -57,7 +58,9 @@ class Language(TransducerCase):
 
 
 class Chunks(TransducerCase):
-    """Reads the descriptors again from many offsets, with and without data in the request."""
+    """Reads the descriptors again from many offsets, with and without data in the request, and
+    piece by piece in turn with each other text of the device.
+    """
 
     ID = "transducers.chunks"
     EXPECTATION = "The bytes of the first read from there on, with isLast in the last chunk only."
@@ -72,6 +75,22 @@ class Chunks(TransducerCase):
         chosen = {*range(64), *range(0, len(whole), _STEP), *range(len(whole) - 250, len(whole))}
         offsets = sorted(at for at in chosen | around if 0 <= at < len(whole))
         check_offsets(board.peer, c.GET_TRANSDS, whole, offsets)
+        others = [name for name in (c.GET_INTERFACE, c.GET_PROPERTIES) if board.peer.has(name)]
+        for other in others:
+            texts = {c.GET_TRANSDS: whole, other: board.peer.read_all(other)}
+            for names in permutations(texts):
+                self._in_turn(board.peer, {name: texts[name] for name in names})
+
+    @staticmethod
+    def _in_turn(peer: Peer, texts: dict[str, bytes]) -> None:
+        """Read texts to the end of the shorter one."""
+        ends = dict.fromkeys(texts, 0)
+        while all(end < len(texts[name]) for name, end in ends.items()):
+            for name, end in ends.items():
+                data = peer.ask_many(peer.many(name, offset=end)).data
+                if not data or not texts[name].startswith(data, end):
+                    fail(f"{name} has other bytes at {end} while {' and '.join(texts)} are read")
+                ends[name] += len(data)
 
 
 class Written(TransducerCase):
