@@ -375,12 +375,12 @@ class Holdover(ClockCase):
 
 
 class TransducerTime(ClockCase):
-    """Reads the time of transducers, and lets sensors and actuators tell theirs, also such as fill
-    all of its bytes.
+    """Reads the time of transducers, and lets sensors and actuators tell theirs, also such as are
+    before the local time, and such as fill all of its bytes.
     """
 
     ID = "clock.transducers"
-    EXPECTATION = "TIME, samples and SET are by the time, also after steps; intervals are not."
+    EXPECTATION = "TIME, samples, SET and TRIGGER are by the time, also after steps."
     REQUIREMENTS = ("J2A-CLOCK-019", "J2A-TRANS-007")
     _FULL_US: Final = 0x7A69584736251403
     _AHEAD_US: Final = 30_000
@@ -392,11 +392,17 @@ class TransducerTime(ClockCase):
         firsts = [one for queue in (False, True) for one in devices.sensors(queue=queue)[:1]]
         if not board.peer.has(transducers.STIMULUS):
             firsts = []
-        for base in (UNIX, UNIX - _HOUR, UNIX + 5 * _HOUR, self._FULL_US):
+        if (now := board.status().local) < S:
+            board.wait(S - now)
+        earlier = board.status().local // 2
+        for base in (UNIX, UNIX - _HOUR, UNIX + 5 * _HOUR, earlier, self._FULL_US):
             board.step(base, rate=-70_000)
             self._read(board, devices)
             for one in devices.actuators():
                 self._set(board, devices, one)
+            for one in devices.sensors("trigger"):
+                with devices.tuned(one):
+                    self._trigger(board, devices, one)
             for one in firsts:
                 with devices.tuned(one):
                     self._give(board, devices, one)
@@ -428,6 +434,18 @@ class TransducerTime(ClockCase):
                 break
         if time < due:
             fail(f"{one.name} was set at {time} us, and not at {due} us")
+
+    @staticmethod
+    def _trigger(board: Board, devices: transducers.Board, one: types.Transducer) -> None:
+        since, due = devices.seen, board.status().time + TransducerTime._AHEAD_US
+        devices.write(one, c.TRANSD_TRIGGER, struct.pack("<Q", due))
+        board.wait(TransducerTime._AHEAD_US)
+        _, payload = devices.sif(one, since)
+        after = board.status().time
+        for time in transducers.times_us(devices, one, payload):
+            if not due <= time <= after:
+                text = f"{one.name} was triggered at {time} us, and not between {due}"
+                fail(f"{text} and {after} us")
 
     @staticmethod
     def _give(board: Board, devices: transducers.Board, one: types.Transducer) -> None:
