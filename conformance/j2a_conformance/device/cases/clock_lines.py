@@ -381,7 +381,7 @@ class TransducerTime(ClockCase):
 
     ID = "clock.transducers"
     EXPECTATION = "TIME, samples, SET and TRIGGER are by the time, also after steps."
-    REQUIREMENTS = ("J2A-CLOCK-019", "J2A-TRANS-007")
+    REQUIREMENTS = ("J2A-CLOCK-019", "J2A-TRANS-007", "J2A-TRANS-016", "J2A-TRANS-018")
     _FULL_US: Final = 0x7A69584736251403
     _AHEAD_US: Final = 30_000
 
@@ -395,8 +395,14 @@ class TransducerTime(ClockCase):
         if (now := board.status().local) < S:
             board.wait(S - now)
         earlier = board.status().local // 2
-        for base in (UNIX, UNIX - _HOUR, UNIX + 5 * _HOUR, earlier, self._FULL_US):
-            board.step(base, rate=-70_000)
+        for base, rate in (
+            (UNIX, -70_000),
+            (UNIX - _HOUR, -c.CLOCK_MAX_RATE),  # what is ahead takes longer than in local time
+            (UNIX + 5 * _HOUR, c.CLOCK_MAX_RATE),
+            (earlier, -c.CLOCK_MAX_RATE),
+            (self._FULL_US, -70_000),
+        ):
+            board.step(base, rate=rate)
             self._read(board, devices)
             for one in devices.actuators():
                 self._set(board, devices, one)
