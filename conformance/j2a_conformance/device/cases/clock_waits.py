@@ -64,7 +64,7 @@ class Waits(ClockCase):
 
         Args:
             board, devices: the clock and the transducers of the device.
-            step: steps the clock.
+            step: steps the clock, or leads it elsewhere.
             left_us: so long before their time it does, None: at once.
         """
         ahead_us = self._ahead_us(board, devices)
@@ -81,7 +81,9 @@ class Waits(ClockCase):
         after = step()
         if after.local - first.local >= ahead_us:
             return False
-        moved = after.time - before.time - (after.local - before.local)
+        moved = 0
+        if after.epoch != before.epoch:
+            moved = after.time - before.time - (after.local - before.local)
         found: list[tuple[str, int]] = []
         for _ in board.watch(ahead_us + self._LATE_US):
             for one, count, unset in [*left]:
@@ -105,11 +107,14 @@ class Waits(ClockCase):
 
 class Waiting(Waits):
     """Steps the clock twice while SET of each channel and TRIGGER wait for their time, and once
-    shortly before it.
+    shortly before it; leads it to targets that are near and far.
     """
 
     ID = "clock.waiting"
-    EXPECTATION = "They happen at the same instant as without the steps, and the last time never."
+    EXPECTATION = (
+        "They happen at the same instant as without the steps, by the time where there is no step, "
+        "and the last time never."
+    )
     REQUIREMENTS = ("J2A-CLOCK-019", "J2A-CLOCK-020")
     # Both ways, by little, by more than 32 bits hold, and so that they do not make up for another.
     _STEPS: Final = (
@@ -118,6 +123,7 @@ class Waiting(Waits):
         (_HOUR, 100_000),
         (-_HOUR, -100_000),
     )
+    _TARGETS_US: Final = (-100_000, -_HOUR, _HOUR)
     _LEFT_US: Final = 60_000
     _TRIES: Final = 4  # a link may be too slow for it, and a machine too busy
     _NEVER: Final = 2**64 - 1
@@ -129,10 +135,12 @@ class Waiting(Waits):
         with ExitStack() as stack:
             for one in devices.sensors("trigger"):
                 stack.enter_context(devices.tuned(one))
-            for steps in self._STEPS:
+            steps = [partial(self._step, board, steps) for steps in self._STEPS]
+            slews = [partial(board.adjust, off_us) for off_us in self._TARGETS_US]
+            for adjust in (*steps, *slews):
                 board.step(UNIX)
-                if not self.wait(board, devices, partial(self._step, board, steps)):
-                    fail("the time came before the step", suspect=True)
+                if not self.wait(board, devices, adjust):
+                    fail("the time came before the adjustment", suspect=True)
             for by in (_HOUR, -_HOUR):
                 for _ in range(self._TRIES):
                     board.step(UNIX)
