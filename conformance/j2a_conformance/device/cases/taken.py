@@ -208,14 +208,21 @@ class Threshold(Taken):
         self._give(board, one, channel, bytes(size), due=True)
 
     def _disabled(self, board: Board, one: oracle.Transducer, channel: int) -> None:
-        """Compare with what was taken last: before ENABLED was 0, and meanwhile without queue."""
+        """Compare with what was taken last: before ENABLED was 0, and meanwhile without queue.
+        Settings that are written meanwhile change nothing of it.
+        """
         has_queue = "queue" in one.attributes
         last = 40
-        board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
+        limits = [bytes(board.size(one)), board.packed(one, 8)]
+        board.write(one, c.TRANSD_THRESHOLD, limits[0])
         self._give(board, one, channel, board.packed(one, last), due=True)
-        board.write(one, c.TRANSD_THRESHOLD, board.packed(one, 8))
-        for meanwhile in (None, 60, 64, None, 20):
+        board.write(one, c.TRANSD_THRESHOLD, limits[1])
+        for round_, meanwhile in enumerate((None, 60, 64, None, 20)):
             board.write(one, c.TRANSD_ENABLED, b"\0")
+            if round_ % 2:
+                board.rewrite(one)
+                for limit in limits:
+                    board.write(one, c.TRANSD_THRESHOLD, limit)
             if meanwhile is not None:
                 board.stimulate(one, (channel, board.packed(one, meanwhile)))
                 last = last if has_queue or abs(meanwhile - last) < 8 else meanwhile
