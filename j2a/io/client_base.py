@@ -152,8 +152,7 @@ class ClientBase(Generic[_StreamT]):
             self._device,
             partial(_now_of, client),
             partial(_described, client),
-            restarts=lambda: session.restarts,
-            host_us=partial(_host_us, client),
+            partial(_host_us, client),
         )
         self._handlers.add(None, self._source.take)
 

@@ -17,6 +17,7 @@ from typing import Any
 from j2a.errors import ProtocolError
 from j2a.events import Sample, Sif, quick_maker
 from j2a.protocol.device_info import DeviceInfo
+from j2a.protocol.session import restarts_of
 from j2a.types.coding import PayloadMismatchError
 from j2a.types.model import Structure
 from j2a.types.samples import SampleCodec
@@ -35,10 +36,10 @@ class BadPayload(ProtocolError):  # noqa: N818 - named as those of j2a.errors
 class _State:
     """What is remembered of one transducer until its descriptor is learnt anew."""
 
-    def __init__(self, transducer: Transducer, codec: SampleCodec, restarts: int) -> None:
+    def __init__(self, transducer: Transducer, codec: SampleCodec) -> None:
         self.transducer = transducer
         self.codec = codec
-        self.restarts = restarts
+        self.restarts = 0  # that the device had told of when the first SIF came
         is_structure = isinstance(transducer.type.element, Structure)
         self.field_units = tuple(transducer.units.items()) if is_structure else ()
         self.latest: Sample | None = None
@@ -116,6 +117,19 @@ class _Known:
         self.by_name = {one.transducer.name: one for one in states}
         self.by_id = {one.transducer.id: one for one in states if one.transducer.is_sensor}
 
+    def begin(self, before: "_Known", restarts: int) -> None:
+        """Go on behind the last SIF that was read by the descriptors of before.
+
+        Args:
+            before: these.
+            restarts: that the device has told of before the SIF that is read next.
+        """
+        for name, state in self.by_name.items():
+            state.restarts = restarts
+            if (one := before.by_name.get(name)) is not None:
+                # Where the device was reset in between, its times go back.
+                state.go_on(one)
+
 
 class SampleSource:
     """The transducers of one link.
@@ -125,7 +139,6 @@ class SampleSource:
         device: what the device told about itself.
         now: the time of the link, in seconds.
         epoch: of the SIFs that are samples of the descriptors, -1 while those are being learnt.
-        restarts: how often the device has told that it began anew.
         host_us: the time of this computer at one of the device, None where it is not known.
 
     Attributes:
@@ -139,8 +152,6 @@ class SampleSource:
         device: DeviceInfo,
         now: Callable[[], float],
         epoch: Callable[[], int],
-        *,
-        restarts: Callable[[], int],
         host_us: Callable[[int], int | None] = lambda _time_us: None,
     ) -> None:
         self.current: Sample | None = None
@@ -148,7 +159,6 @@ class SampleSource:
         self._device = device
         self._now = now
         self._epoch = epoch
-        self._restarts = restarts
         self._host_us = host_us
         self._lock = threading.Lock()
         self._known = _Known(None, ())
@@ -165,13 +175,7 @@ class SampleSource:
             if known.descriptors is descriptors:
                 return known
             found = descriptors.transducers if descriptors is not None else ()
-            restarts = self._restarts()
-            states = [_State(one, SampleCodec(one, self._device.types), restarts) for one in found]
-            for state in states:
-                # Where the device was reset in between, its times go back.
-                before = self._before.get(state.transducer.name)
-                if before is not None:
-                    state.go_on(before)
+            states = [_State(one, SampleCodec(one, self._device.types)) for one in found]
             self._known = _Known(descriptors, states)
             if descriptors is not None:
                 self._before = self._known.by_name
@@ -212,6 +216,9 @@ class SampleSource:
         epoch = self._epoch()
         known = self._load()
         if known.descriptors is not None and epoch == sif.epoch == self._epoch():
+            if known is not self._newest[1]:
+                # Not before: SIFs of the time before may have waited until now.
+                known.begin(self._newest[1], restarts_of(epoch))
             self._newest = epoch, known
         elif self._newest[0] != sif.epoch:
             return

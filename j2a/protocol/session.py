@@ -40,10 +40,12 @@ from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
 from j2a.protocol.trace import Trace, Tracer
 
-__all__ = ["MAX_WINDOW", "Call", "Event", "Session"]
+__all__ = ["BOOT_EPOCHS", "MAX_WINDOW", "Call", "Event", "Session", "restarts_of"]
 
 _SEQS: Final = 256
 MAX_WINDOW: Final = 64
+BOOT_EPOCHS: Final = 1 << 32
+"""A boot SIF ends so many epochs, and a clue to a restart one: the number tells how many came."""
 _DAMAGE: Final = frozenset((ERR_TIMEOUT, ERR_CHECKSUM, ERR_FRAMING))
 # Another barrier may follow after this time (J2A-SEQ-009).
 _BARRIER_S: Final = 1.0
@@ -418,7 +420,7 @@ class Session:
             # What comes first was sent before anything was learnt.
             self.epoch += self.has_boot is None and self._counts["frames_received"] > 1
             return []
-        self.epoch += 1
+        self.epoch += BOOT_EPOCHS
         self.generation += 1
         self.rxbuf = 0
         self._next_sif = None
@@ -525,6 +527,11 @@ class Session:
         """The counters as they are now."""
         known = {"frames_sent": self._next_number, "bytes_skipped": self._deframer.skipped}
         return Counters(**{**self._counts, **known})
+
+
+def restarts_of(epoch: int) -> int:
+    """Return how many boot SIFs had come when an epoch lasted."""
+    return epoch // BOOT_EPOCHS
 
 
 def _is_proof(code: int) -> bool:

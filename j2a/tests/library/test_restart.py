@@ -5,6 +5,7 @@ import contextlib
 import enum
 import gc
 import logging
+import struct
 import threading
 import time
 import weakref
@@ -22,6 +23,7 @@ from j2a.io.handlers import NamedSif
 from j2a.protocol.boot import pack_boot, unpack_boot
 from j2a.protocol.device_info import DeviceInfo
 from j2a.protocol.session import Session
+from j2a.types.descriptors import parse_descriptors
 from j2a.types.transds_file import read_transds
 
 from .rebooting import Rebooting, boot_payload
@@ -105,6 +107,11 @@ def restart(board, client, firmware=None, **options):
     board.reset(firmware, **options)
     while client.counters.restarts == before:
         pass
+
+
+def queued(lost, time_us):
+    """Return a sample of a sensor with a queue, of one value of a byte."""
+    return struct.pack("<HBQB", lost, 0, time_us, 7)
 
 
 def in_loop(test):
@@ -938,6 +945,45 @@ class TestTransducers:
 
         asyncio.run(main())
         assert new.was_set == [("servo", 7)]
+
+    @contextlib.contextmanager
+    def logging_board(self):
+        """A board with a queue; a client of it, and the losses and resets that its samples tell."""
+        device = j2a.Device(
+            boot=True, transducers=parse_descriptors("\nsensor log 9 1 u8\n queue 9\n")
+        )
+        told = []
+        with connected(device) as (board, client):
+            client.transducers["log"].on_sample(lambda one: told.append((one.lost, one.is_reset)))
+            yield board, client, told
+
+    @pytest.mark.requirement("J2A-TRANS-026", "J2A-TRANS-027")
+    def test_a_handler_that_has_all_learnt_anew_does_not_have_losses_told_twice(self):
+        with self.logging_board() as (board, client, told):
+
+            def call(_sif):
+                while client.counters.sifs < 5:
+                    time.sleep(0.001)
+                assert client.echo(b"x") == b"x"
+
+            client.on_sif(99, call)
+            board.sif(9, queued(0, 1000))
+            board.sif(99)
+            board.sif(9, queued(5, 2000))
+            board.skip_sifs(-3)  # so many are lost that the counter seems to go back
+            board.sif(9, queued(5, 1500))
+        assert told == [(0, False), (5, False), (0, True)]
+
+    @pytest.mark.requirement("J2A-TRANS-026")
+    def test_nothing_is_lost_behind_a_boot_sif_that_comes_with_the_first_sample(self):
+        with self.logging_board() as (board, client, told):
+            client.refresh()  # what the descriptors mean is found out by the next SIF
+            frames = [(1, 9, queued(5, 1000)), (0, BOOT, boot_payload(board.device))]
+            board.far.write(b"".join(oracle.encode(oracle.Frame(SOS, *one)) for one in frames))
+            while not client.counters.restarts:
+                time.sleep(0.001)
+            board.sif(9, queued(9, 5000))
+        assert told == [(0, False), (0, False)]
 
     @pytest.mark.parametrize("clock", [None, 10.0])
     def test_what_is_known_of_the_clock_ends_with_a_restart(self, clock):

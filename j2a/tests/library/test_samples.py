@@ -11,6 +11,7 @@ import j2a.io.samples
 from j2a.errors import WrongArgument
 from j2a.events import Sif
 from j2a.io.samples import SampleSource
+from j2a.protocol.session import BOOT_EPOCHS
 from j2a.types.coding import PythonTypes
 from j2a.types.datasheet import data_sheets
 from j2a.types.descriptors import parse_descriptors
@@ -28,14 +29,8 @@ class World:
 
     def __init__(self):
         self.device = SimpleNamespace(descriptors=OLD, types=PythonTypes())
-        self.epoch = self.restarts = 0
-        self.source = SampleSource(
-            "x:",
-            self.device,
-            lambda: 0.0,
-            lambda: self.epoch,
-            restarts=lambda: self.restarts,
-        )
+        self.epoch = 0
+        self.source = SampleSource("x:", self.device, lambda: 0.0, lambda: self.epoch)
 
     def take(self, epoch):
         """Return what a SIF is that came in an epoch: unit and values, or None."""
@@ -43,10 +38,11 @@ class World:
         sample = self.source.current
         return sample and (sample.unit, sample.values, sample.sequence)
 
-    def take_queued(self, told, times):
-        """Return the sample that a SIF is of LOG, by the newest descriptors."""
+    def take_queued(self, told, times, epoch=None):
+        """Return the sample that a SIF of LOG is; it came in that epoch, by default that of now."""
         entries = b"".join(struct.pack("<BQB", 0, time_us, 7) for time_us in times)
-        self.source.take(Sif(9, struct.pack("<H", told) + entries, 0, 0, epoch=self.epoch))
+        came = self.epoch if epoch is None else epoch
+        self.source.take(Sif(9, struct.pack("<H", told) + entries, 0, 0, epoch=came))
         return self.source.current
 
 
@@ -153,11 +149,24 @@ def test_losses_are_known_behind_descriptors_learnt_anew_unless_a_boot_sif_came(
     assert world.take_queued(3, (5,)).lost == 0
     world.device.descriptors, world.epoch = None, -1
     assert world.take_queued(3, (5,)) is None
-    world.device.descriptors, world.epoch = parse_descriptors(LOG), 1
-    world.restarts = restarts
+    world.device.descriptors = parse_descriptors(LOG)
+    world.epoch = restarts * BOOT_EPOCHS or 1
     sample = world.take_queued(told, (time_us,))
     assert (sample.lost, sample.is_reset) == (0 if restarts else lost, is_reset)
     assert world.take_queued(told + 5, (time_us,)).lost == 5
+
+
+@pytest.mark.requirement("J2A-TRANS-026", "J2A-TRANS-027")
+def test_sifs_that_waited_while_all_was_learnt_anew_count_for_those_behind_them():
+    world = World()
+    world.device.descriptors = parse_descriptors(LOG)
+    assert world.take_queued(0, (10,)).lost == 0
+    world.device.descriptors, world.epoch = parse_descriptors(LOG), 1
+    assert world.source.names() == ["log"]
+    sample = world.take_queued(5, (20,), epoch=0)
+    assert (sample.lost, sample.is_reset) == (5, False)
+    sample = world.take_queued(5, (15,))
+    assert (sample.lost, sample.is_reset) == (0, True)
 
 
 @pytest.mark.parametrize("size", [243, 244, 245, 246, 247])
