@@ -289,6 +289,11 @@ class Engine(EngineBase[SifStream]):
         with self._turn, self._state:
             super().tell_restart(restart)
 
+    def tell_doubt(self) -> None:
+        """Have all learnt anew behind the SIFs that have come: the device may have restarted."""
+        with self._turn, self._state:
+            super().tell_doubt()
+
     def _finish_sifs(self) -> None:
         """Let the dispatcher run out after the SIFs that wait."""
         with self._turn, self._state:

@@ -574,6 +574,9 @@ class ClientBase(Generic[_StreamT]):
         session.has_samples = device.descriptors is not None
         if unanswered is None:
             self._described = epoch
+        if session.has_samples and session.epoch != epoch:
+            # Nobody could tell before that there are samples; their SIFs are no samples until then.
+            self._engine.tell_doubt()
         return unanswered
 
     def _fetch_map(self, boot_time: float | None) -> Transfer[None]:

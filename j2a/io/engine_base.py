@@ -101,6 +101,10 @@ class EngineBase(ABC, Generic[_StreamT]):
         self._session.note_restart()
         self._queue_restart(restart)
 
+    def tell_doubt(self) -> None:
+        """Have all learnt anew behind the SIFs that have come: the device may have restarted."""
+        self._queue_restart(Doubt())
+
     def _queue_restart(self, restart: Restart) -> None:
         if isinstance(restart, Doubt) and self._restart is not None:
             return

@@ -985,6 +985,34 @@ class TestTransducers:
             board.sif(9, queued(9, 5000))
         assert told == [(0, False), (0, False)]
 
+    @pytest.mark.requirement("J2A-TRANS-027")
+    @pytest.mark.parametrize("then", [(5, 99), (0, BOOT)])
+    def test_samples_come_where_a_restart_was_possible_before_they_were_known(self, then):
+        """Nobody waits for samples of a device of which it is not known that it has some."""
+        temp = j2a.Device(boot=True, transducers=parse_descriptors("\nsensor temp 9 1 u8\n"))
+        execute, frames = temp._execute, [(7, 98), then]
+
+        async def main():
+            with Rebooting(temp) as board:
+
+                def answer(opcode, payload):
+                    while opcode and frames:  # the first request behind the function map
+                        board._sif_seq, opcode_of_sif = frames.pop(0)
+                        board._sif(opcode_of_sif, b"")
+                    return execute(opcode, payload)
+
+                temp._execute = answer
+                async with j2a.AsyncClient(board.near, timeout=PATIENCE_S) as client:
+                    await client.refresh()
+                    samples = client.transducers["temp"].samples()
+                    for number in range(2, 50):
+                        board.sif(9, struct.pack("<QB", number, number))
+                        with contextlib.suppress(j2a.CallTimeout):
+                            return (await samples.wait(0.1)).values
+                return None
+
+        assert in_loop(main()) is not None
+
     @pytest.mark.parametrize("clock", [None, 10.0])
     def test_what_is_known_of_the_clock_ends_with_a_restart(self, clock):
         """An order for a time, or the host time of a sample, would be by a clock that is gone."""
