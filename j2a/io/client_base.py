@@ -592,8 +592,11 @@ class ClientBase(Generic[_StreamT]):
                 continue
             break
         if self._window > 1:
+            session, generation = self._session, self._session.generation
             yield from self._device.learn_room()  # where they are unreadable, there is no rxbuf
-            self._session.rxbuf = self._device.announced.rxbuf
+            session.rxbuf = self._device.announced.rxbuf
+            if session.generation != generation:  # it has restarted behind its last word
+                session.rxbuf = 0
 
     def _take_map(self, limit_s: float) -> Transfer[None]:
         """Fetch the function map, which proves that a device answers.

@@ -412,6 +412,31 @@ class TestCalls:
                 with pytest.raises(j2a.PayloadTooLong):
                     client.call(raw, bytes(length))
 
+    @pytest.mark.requirement("J2A-BOOT-005")
+    def test_one_call_at_a_time_waits_where_the_boot_sif_comes_with_the_properties(self):
+        async def main():
+            with Rebooting(old_firmware()) as board:
+                async with j2a.AsyncClient(board.near, timeout=1.0, window=4) as client:
+                    await client.refresh()
+                    assert client._session.rxbuf > 0
+                    write = board._write
+
+                    def write_with_boot_sif(*frames):
+                        is_last = b"j2a.spec" in frames[0].payload
+                        boot = oracle.Frame(SOS, 0, BOOT, boot_payload(board.device))
+                        write(*frames, *[boot] * is_last)
+                        board.is_mute |= is_last
+
+                    board._write = write_with_boot_sif
+                    with contextlib.suppress(j2a.DeviceRestarted):  # what it asks then is refused
+                        await client.refresh()
+                    asked = len(board.requests)
+                    calls = [client.call(9, timeout=0.1) for _ in range(3)]
+                    await asyncio.gather(*calls, return_exceptions=True)
+                    return [frame.opcode for frame, _ in board.requests[asked:]]
+
+        assert in_loop(main()).count(9) <= 1
+
     def test_a_device_that_does_not_answer_after_its_restart(self):
         with connected(old_firmware(), timeout=2.0) as (board, client):
             client.on_restart(lambda _restart: None)
