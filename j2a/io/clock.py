@@ -8,6 +8,7 @@ clock ends with the client, raises nothing, and keeps no client alive.
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, Final, Self, TypeVar
 
 from j2a.errors import LocalError
@@ -211,6 +212,8 @@ class ClockKeeper(KeeperBase):
     def __init__(self, clock: Clock, period_s: float, is_setting: bool) -> None:
         super().__init__(clock, period_s, is_setting)
         self._ended = ended = Flag()
+        if is_setting:
+            self._round = partial(clock._adjust, is_over=ended.is_set)
         self._forget = clock._client._handlers.at_end(lambda _reason: ended.set())
         self._thread = start_thread(self._work, f"j2a clock {clock._url}")
 

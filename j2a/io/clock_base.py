@@ -13,6 +13,7 @@ import math
 import random
 import threading
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -408,14 +409,19 @@ class ClockBase:
             yield from self._ask_status()
         return exchange
 
-    def _adjust(self, least: int = BURST) -> Transfer[None]:
-        """Make one exchange, and tell the board what follows from at least so many of them."""
+    def _adjust(
+        self, least: int = BURST, is_over: Callable[[], bool] = lambda: False
+    ) -> Transfer[None]:
+        """Make one exchange, and tell the board what follows from at least so many of them.
+
+        Nothing is told where it `is_over` by then (J2A-CLOCK-029).
+        """
         yield from self._prepare(to_set=True)
         yield from self._exchange()
         if self._discipline.status is None:
             yield from self._ask_status()
         adjust = self._discipline.next_adjust(self._host.observe(), least)
-        if adjust is None:
+        if adjust is None or is_over():
             return
         [(code, reply)] = yield (self._clock_request(adjust.pack()),)
         if code == c.CLOCK_BAD_VALUE:

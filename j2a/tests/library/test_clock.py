@@ -18,6 +18,7 @@ from j2a_spec import oracle
 from j2a_spec.constants import SOF
 
 import j2a
+from j2a.io import clock as clock_module
 from j2a.io import host_time
 from j2a.io.clock import Clock
 from j2a.types.transds_file import read_transds
@@ -189,6 +190,31 @@ def test_a_disciplined_clock_follows_until_it_is_stopped(board, device):
     with board.clock.discipline(0.02) as keeper:  # again
         until(lambda: keeper.rounds > 0)
     assert {one[1] for one in device.requests if one[0] == c.CLOCK_ADJUST} == {c.CLOCK_SLEW}
+
+
+@pytest.mark.requirement("J2A-CLOCK-024", "J2A-CLOCK-029")
+def test_a_keeper_that_was_stopped_sets_nothing_although_its_exchange_ends_later(
+    board, device, monkeypatch
+):
+    """A board may answer later than `stop` waits."""
+    monkeypatch.setattr(clock_module, "JOIN_S", 0.01)
+    is_held, may_go = threading.Event(), threading.Event()
+
+    def hold(payload):
+        if payload[0] == c.CLOCK_EXCHANGE:
+            is_held.set()
+            may_go.wait(PATIENCE_S)
+
+    board.clock.sync()
+    keeper = board.clock.discipline(0.02)
+    until(lambda: keeper.rounds > 0)
+    device.spoil = hold
+    assert is_held.wait(PATIENCE_S)
+    keeper.stop()
+    asked = len(device.requests)
+    may_go.set()
+    until(lambda: not keeper._thread.is_alive())
+    assert not any(one[0] == c.CLOCK_ADJUST for one in device.requests[asked:])
 
 
 def settable(board):
