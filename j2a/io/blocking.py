@@ -336,7 +336,7 @@ class Engine(EngineBase[SifStream]):
         if handlers is None or self._drops_sifs:
             self._drop()
             return
-        for handler in handlers.matching(sif.opcode):
+        for handler in handlers.matching(sif.opcode, sif.epoch):
             self._call_handler(handler, sif)
             if self._drops_sifs:
                 return

@@ -58,7 +58,7 @@ from j2a.io.transducers import RemoteTransducer, Transducers
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.device_info import DeviceInfo, Names, is_map
 from j2a.protocol.limits import DEVICE_LIMITS, Limits
-from j2a.protocol.session import MAX_WINDOW, Session
+from j2a.protocol.session import MAX_WINDOW, Session, restarts_of
 from j2a.protocol.trace import Trace
 from j2a.protocol.transfer import CallRequest, Progress, Transfer, preparing
 from j2a.types.model import Described, Interface
@@ -131,7 +131,9 @@ class ClientBase(Generic[_StreamT]):
             window=window,
             trace=trace,
         )
-        self._device = DeviceInfo(partial(_reading_properties, session))
+        self._device = DeviceInfo(
+            partial(_reading_properties, session), lambda: restarts_of(session.epoch)
+        )
         # The epoch of the session in which it was learnt what the device has.
         self._learnt = 0
         # The epoch in which the function map was fetched, -1 before.

@@ -9,7 +9,7 @@ cancelling are safe from any thread and from inside handlers.
 import logging
 import re
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
@@ -20,6 +20,7 @@ from j2a.events import Restart, Sif
 from j2a.io.samples import BadPayload, WantedSamples
 from j2a.protocol.arguments import check_opcode
 from j2a.protocol.device_info import DeviceInfo
+from j2a.protocol.session import restarts_of
 from j2a.types.coding import Codec, PayloadMismatchError, tuple_class
 from j2a.types.model import SifShape
 
@@ -57,7 +58,9 @@ _Handler = TypeVar("_Handler", bound=Callable[..., object])
 class NamedSif:
     """The opcode and the values of a SIF that the device describes.
 
-    It follows the interface: after a refresh the name may stand for another opcode.
+    It follows the interface: after a refresh the name may stand for another opcode. A SIF is found
+    and decoded by what the device described between the same restarts, or not at all: it may have
+    waited, and behind a boot SIF nothing of before is used (J2A-BOOT-005).
 
     Raises:
         LocalError: the device describes no SIF of that name.
@@ -71,18 +74,20 @@ class NamedSif:
         self._name = name
         # By which a SIF was found to be one of these: it is decoded by the same, although another
         # thread may have begun to learn the interface anew.
-        self._shape = known[name]
+        self._shape, self._types = known[name], device.types
         self._device = device
         self._prepared: tuple[SifShape | None, Codec, type[Any]] | None = None
 
     def __str__(self) -> str:
         return f"SIF {self._name}"
 
-    def __contains__(self, opcode: object) -> bool:
-        shape = self._device.sifs.get(self._name)
-        if shape is None or shape.opcode != opcode:
+    def finds(self, opcode: int, epoch: int) -> bool:
+        """Whether a SIF that came in an epoch of the session is one of these."""
+        known = self._device.sifs_of(restarts_of(epoch))
+        shape = None if known is None else known.by_name.get(self._name)
+        if known is None or shape is None or shape.opcode != opcode:
             return False
-        self._shape = shape
+        self._shape, self._types = shape, known.types
         return True
 
     def decode(self, sif: Sif) -> Sif:
@@ -93,7 +98,7 @@ class NamedSif:
         """
         shape = self._shape
         if self._prepared is None or self._prepared[0] is not shape:
-            codec = Codec(shape.fields, self._device.sif_types)
+            codec = Codec(shape.fields, self._types)
             self._prepared = shape, codec, tuple_class("Values", shape.fields)
         _, codec, values = self._prepared
         try:
@@ -124,7 +129,7 @@ class Subscription(Generic[_Handler]):
         cancel: Callable[["Subscription[_Handler]"], None],
     ) -> None:
         self.handler = handler
-        self.opcodes: Container[int] | None = opcodes
+        self.opcodes = opcodes
         self._cancel = cancel
         self.deliver: Callable[[Any], Any] = handler
         if isinstance(opcodes, NamedSif | WantedSamples):
@@ -188,10 +193,19 @@ class Handlers(Generic[_Handler]):
 
         return decorate
 
-    def matching(self, opcode: int = 0) -> Iterator[Callable[[Any], Any]]:
-        """Yield the handlers of an opcode, but none that was cancelled meanwhile."""
+    def matching(self, opcode: int = 0, epoch: int = 0) -> Iterator[Callable[[Any], Any]]:
+        """Yield the handlers of an opcode, but none that was cancelled meanwhile.
+
+        Args:
+            opcode: of a SIF.
+            epoch: of the session when it came.
+        """
         for subscription in self._subscriptions.copy():
-            is_wanted = subscription.opcodes is None or opcode in subscription.opcodes
+            wanted = subscription.opcodes
+            if isinstance(wanted, NamedSif):
+                is_wanted = wanted.finds(opcode, epoch)
+            else:
+                is_wanted = wanted is None or opcode in wanted
             if is_wanted and subscription in self._subscriptions:
                 yield subscription.deliver
 

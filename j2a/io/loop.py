@@ -295,7 +295,7 @@ class AsyncEngine(EngineBase[AsyncSifStream]):
         if handlers is None or self._calls.are_over:
             self._session.count("sifs_dropped")
             return None
-        return self._calls.call(handlers.matching(sif.opcode), sif)
+        return self._calls.call(handlers.matching(sif.opcode, sif.epoch), sif)
 
     # ------------------------------------------------------------------ the end
 

@@ -12,7 +12,7 @@ what they lack (J2A-PROP-005).
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
-from typing import Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from j2a_spec.constants import (
     CAP_CLOCK,
@@ -76,7 +76,7 @@ from j2a.types.coding import PythonTypes
 from j2a.types.model import Interface, SifShape
 from j2a.types.transducers import Descriptors
 
-__all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "DeviceInfo", "Names", "is_map"]
+__all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "DeviceInfo", "NamedSifs", "Names", "is_map"]
 
 DEFAULT_MAX_BYTES: Final = 64 * 2**20
 MAX_PROPERTIES: Final = 16 * 1024
@@ -118,11 +118,24 @@ class Names(dict[str, int]):
         self.is_whole = is_whole
 
 
+class NamedSifs(NamedTuple):
+    """SIFs that a device describes, by name, and the classes of their values.
+
+    Attributes:
+        restarts: how often the device had told that it began anew when it described them.
+    """
+
+    by_name: Mapping[str, SifShape]
+    types: PythonTypes
+    restarts: int
+
+
 class DeviceInfo:
     """The cache of what the device told about itself.
 
     Args:
         reading: is entered with this object while its properties are read.
+        restarts: how often the device has told that it began anew.
 
     Attributes:
         functions: names and opcodes; None until the map was fetched, empty when there is none.
@@ -133,9 +146,6 @@ class DeviceInfo:
             every device does, until `learn_room` was run.
         interface: what the functions take and return; None where the device does not describe
             them, or not so that it can be used.
-        sifs: the SIFs that the device describes, by name. Those of before stay until the interface
-            is learnt anew, unless the map shows another device: SIFs come meanwhile, too.
-        sif_types: the classes of their values.
         interface_problem: why it is not used although the device has it, or "".
         types: the classes of the values that the interface describes.
         descriptors: the device's transducers; None where it has none, or not so that they can be
@@ -145,16 +155,21 @@ class DeviceInfo:
     """
 
     def __init__(
-        self, reading: "Callable[[DeviceInfo], AbstractContextManager[object]]" = nullcontext
+        self,
+        reading: "Callable[[DeviceInfo], AbstractContextManager[object]]" = nullcontext,
+        restarts: Callable[[], int] = int,
     ) -> None:
         self._reading = reading
+        self._restarts = restarts
         self.functions: Names | None = None
         self.properties: dict[str, str] | None = None
         self.announced = Announced({})
         self.room = MIN_ROOM
         self._mapped: Sequence[str] = ()
         self._forget_interface()
-        self._take_sifs(())
+        # The newest first; then those of before the last restart, of which some may still wait.
+        self._sifs: tuple[NamedSifs, ...] = ()
+        self._take_sifs((), 0)
         # Opcodes of the functions for which a probe has shown that all of the offset counts.
         self._probed: set[int] = set()
 
@@ -204,7 +219,7 @@ class DeviceInfo:
         self._probed = set()
         self._forget_interface()
         if is_another:
-            self._take_sifs(())
+            self._take_sifs((), self._restarts())
         self._mapped = mapped
 
     @property
@@ -282,9 +297,22 @@ class DeviceInfo:
         self._mapped = ()
         self._map = object()
 
-    def _take_sifs(self, sifs: Sequence[SifShape]) -> None:
-        self.sif_types = self.types
-        self.sifs = {sif.name: sif for sif in sifs}
+    def _take_sifs(self, sifs: Sequence[SifShape], restarts: int) -> None:
+        known = NamedSifs({sif.name: sif for sif in sifs}, self.types, restarts)
+        self._sifs = known, *[one for one in self._sifs if one.restarts != restarts][:1]
+
+    @property
+    def sifs(self) -> Mapping[str, SifShape]:
+        """The SIFs that the device describes, by name.
+
+        Those of before stay until the interface is learnt anew, unless the map shows another
+        device: SIFs come meanwhile, too.
+        """
+        return self._sifs[0].by_name
+
+    def sifs_of(self, restarts: int) -> NamedSifs | None:
+        """Return the SIFs that the device described behind so many restarts; None if not known."""
+        return next((one for one in self._sifs if one.restarts == restarts), None)
 
     @property
     def has_clock(self) -> bool:
@@ -300,7 +328,7 @@ class DeviceInfo:
         Returns: why there was no answer, so that it is asked for again the next time; else None.
         """
         while not self.asked_for_interface:
-            map_then = self._map
+            map_then, restarts = self._map, self._restarts()
             interface, problem = yield from self._described(GET_INTERFACE, self._read_interface)
             if self._map is not map_then or self.asked_for_interface:
                 continue  # what another thread has found meanwhile stays
@@ -312,7 +340,7 @@ class DeviceInfo:
             if interface is not None:
                 names = [function.name for function in interface.functions]
                 opcodes = {name: opcode for opcode, name in enumerate(names)}
-            self._take_sifs(() if interface is None else interface.sifs)
+            self._take_sifs(() if interface is None else interface.sifs, restarts)
             self.interface, self.interface_problem = interface, str(problem or "")
             # Behind all that is found by it.
             self.functions = Names(opcodes, functions.no_map, is_whole=True)

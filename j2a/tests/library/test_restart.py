@@ -614,12 +614,59 @@ class TestHandlers:
         with linked(old_firmware()) as client:
             beats = NamedSif(client._device, "beat")
             for _ in range(came_before):
-                assert sif.opcode in beats
+                assert beats.finds(sif.opcode, 0)
                 beats.decode(sif)
-            assert sif.opcode in beats
+            assert beats.finds(sif.opcode, 0)
             client._device.take_map(j2a.Reply(*new_firmware()._execute(0, b"")))
             assert tuple(beats.decode(sif).values) == (5,)
-            assert sif.opcode not in beats
+            assert not beats.finds(sif.opcode, 0)
+
+    @contextlib.contextmanager
+    def renamed(self):
+        """A board that begins anew with another SIF `beat` of the same opcode and length.
+
+        A handler of SIF 99 waits for the event and then has all learnt anew.
+        """
+        old, new = (j2a.Device(boot=True) for _ in range(2))
+        old.describe_sif("beat", 7, "(count u32)")
+        new.describe_sif("beat", 7, "(level f32)")
+        values, may_go = [], threading.Event()
+        with connected(old, timeout=0.2) as (board, client):
+
+            def learn_anew(_sif):
+                may_go.wait(PATIENCE_S)
+                with contextlib.suppress(j2a.CallTimeout):
+                    client.functions  # noqa: B018
+
+            client.on_sif(99, learn_anew)
+            client.on_sif("beat", lambda sif: values.append(tuple(sif.values)))
+            yield board, client, new, values, may_go
+
+    @pytest.mark.requirement("J2A-BOOT-005")
+    def test_a_sif_that_waited_is_decoded_by_what_the_device_said_before(self):
+        with self.renamed() as (board, client, new, values, may_go):
+            board.sif(99)
+            board.sif(7, struct.pack("<I", 1000))
+            restart(board, client, new)
+            board.sif(7, struct.pack("<f", 1.5))
+            may_go.set()
+        assert values == [(1000,), (1.5,)]
+
+    @pytest.mark.requirement("J2A-BOOT-005")
+    def test_a_sif_behind_a_boot_sif_is_not_decoded_by_what_the_device_said_before(self):
+        with self.renamed() as (board, client, new, values, may_go):
+            may_go.set()
+            seen = client.sifs(99)
+            with board._lock:
+                board.device, board.is_mute, board._sif_seq = new, True, 0
+                board._sif(BOOT, boot_payload(new))
+            board.sif(7, struct.pack("<f", 1.5))
+            board.sif(99)
+            seen.wait(PATIENCE_S)
+            board.is_mute = False
+            assert client.functions
+            board.sif(7, struct.pack("<f", 2.5))
+        assert values == [(2.5,)]
 
     def test_one_that_raises_is_counted_and_told(self):
         errors = []

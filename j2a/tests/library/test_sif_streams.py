@@ -91,11 +91,12 @@ def test_a_payload_that_is_not_as_described_is_reported():
 def test_names_follow_the_interface(board):
     stream = board.sifs("counter")
     shape = board._device.sifs["counter"]
-    board._device.sifs = {"counter": j2a.types.model.SifShape("counter", 0x21, shape.fields[1:])}
+    other = j2a.types.model.SifShape("counter", 0x21, shape.fields[1:])
+    board._device._take_sifs([other], 0)
     board.functions.send(1, 1)
     board.functions.other()
     assert stream.wait(PATIENCE_S).values == ("x",)
-    board._device.sifs = {}
+    board._device._take_sifs([], 0)
     board.functions.send(1, 1)
     with pytest.raises(j2a.CallTimeout):
         stream.wait(0.05)
