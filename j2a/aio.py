@@ -151,7 +151,8 @@ class AsyncClient(ClientBase[AsyncSifStream]):
 
     async def _call_typed(self, function: AsyncFunction, payload: bytes) -> Reply:
         limit_s = self._typed_limit_s(function)
-        if function.epoch == self._session.epoch and len(payload) <= self._device.room:
+        is_known = function.course == self._course and self._learnt == self._session.epoch
+        if is_known and len(payload) <= self._device.room:
             return await self._engine.call(
                 function.name, function.opcode, payload, limit_s, self._session.generation
             )

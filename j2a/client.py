@@ -125,7 +125,8 @@ class Client(ClientBase[SifStream]):
     def _call_typed(self, function: Function, payload: bytes) -> Reply:
         limit_s = self._typed_limit_s(function)
         generation = self._session.generation
-        if function.epoch == self._session.epoch and len(payload) <= self._device.room:
+        is_known = function.course == self._course and self._learnt == self._session.epoch
+        if is_known and len(payload) <= self._device.room:
             return self._engine.call(function.name, function.opcode, payload, limit_s, generation)
         return self._drive(self._call(function, payload), self._call_limits(limit_s, self.now()))
 

@@ -136,6 +136,8 @@ class ClientBase(Generic[_StreamT]):
         )
         # The epoch of the session in which it was learnt what the device has.
         self._learnt = 0
+        # How often all of it was learnt: functions of another time may have other opcodes now.
+        self._course = 0
         # The epoch in which the function map was fetched, -1 before.
         self._mapped = -1
         self._generation = 0
@@ -373,9 +375,9 @@ class ClientBase(Generic[_StreamT]):
         client = weakref.ref(self)
         # Those of another interface than the program was made for are refused when they are called.
         is_right = self._pinned is None or self._pinned[0] == device.interface_hash
-        epoch = self._learnt if is_right else -1
+        course = self._course if is_right else -1
         return {
-            name: kind(opcode, lines.get(name) or Described(name), device.types, client, epoch)
+            name: kind(opcode, lines.get(name) or Described(name), device.types, client, course)
             for name, opcode in device.names.items()
         }
 
@@ -393,7 +395,7 @@ class ClientBase(Generic[_StreamT]):
         line = Described(what, parse_signature(signature, types))
         origin = Origin.NAME if isinstance(function, str | RemoteFunction) else Origin.OPCODE
         return kind(
-            opcode, line, self._device.types, weakref.ref(self), self._learnt, origin=origin
+            opcode, line, self._device.types, weakref.ref(self), self._course, origin=origin
         )
 
     def _current(self, function: str | int) -> str | int:
@@ -406,13 +408,13 @@ class ClientBase(Generic[_StreamT]):
             return function
         if self._pinned is not None and function.origin is Origin.DEVICE:
             self._use_types(*self._pinned)
-        if function.epoch != self._learnt:
+        if function.course != self._course:
             self._adapt(function)
         return function
 
     def _adapt(self, function: RemoteFunction) -> None:
         """Give a function the opcode that it has now."""
-        device, name = self._device, function.name
+        device, name, course = self._device, function.name, self._course
         opcode: int | None = function.opcode
         if function.origin is not Origin.OPCODE:
             opcode = device.names.get(name)
@@ -431,7 +433,7 @@ class ClientBase(Generic[_StreamT]):
                     "take it from the client's functions anew"
                 )
         assert opcode is not None
-        function.opcode, function.epoch = opcode, self._learnt
+        function.opcode, function.course = opcode, course
 
     def _typed_limit_s(self, function: RemoteFunction) -> float:
         """Return the time limit of a call, in seconds."""
@@ -539,6 +541,8 @@ class ClientBase(Generic[_StreamT]):
         unanswered = yield from self._learn_rest(epoch)
         if unanswered is not None and needs_all:
             raise unanswered
+        # Functions that somebody has kept are found anew before they are called.
+        self._course += 1
         self._learnt, self._generation = epoch, generation
         self._identity = device.identity
         if self._pinned is not None:
@@ -681,7 +685,7 @@ class ClientBase(Generic[_StreamT]):
                 return None
         elif len(payload) > device.room:
             return None
-        if isinstance(function, RemoteFunction) and function.epoch != self._learnt:
+        if isinstance(function, RemoteFunction) and function.course != self._course:
             return None
         names = device.functions
         if isinstance(function, str) and (

@@ -57,7 +57,7 @@ class RemoteFunction(int):
         slow_s: how much longer than usual it may take, in seconds.
         doc: one line for people, or "".
         timeout: the time limit of a call in seconds, or None for the client's and `slow_s`.
-        epoch: of the session in which the opcode is right.
+        course: of the client in which the opcode is right; see `ClientBase`.
         origin: see `Origin`.
     """
 
@@ -71,7 +71,7 @@ class RemoteFunction(int):
         line: Described,
         types: PythonTypes,
         client: Any,
-        epoch: int = 0,
+        course: int = 0,
         *,
         origin: Origin = Origin.DEVICE,
     ) -> None:
@@ -83,7 +83,7 @@ class RemoteFunction(int):
         self.slow_s = (line.slow_ms or 0) / 1000
         self.doc = line.doc
         self.timeout: float | None = None
-        self.epoch = epoch
+        self.course = course
         self.origin = origin
         self.__name__ = line.name
         self.__doc__ = printable(f"{line}")  # a terminal shows it
@@ -99,7 +99,7 @@ class RemoteFunction(int):
         Example: `board.functions.measure.with_timeout(5)("left")`.
         """
         made = type(self)(
-            self.opcode, self._line, self._types, self._client, self.epoch, origin=self.origin
+            self.opcode, self._line, self._types, self._client, self.course, origin=self.origin
         )
         made.timeout = check_timeout(timeout)
         return made

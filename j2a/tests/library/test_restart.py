@@ -412,6 +412,41 @@ class TestCalls:
                 with pytest.raises(j2a.PayloadTooLong):
                     client.call(raw, bytes(length))
 
+    @pytest.mark.requirement("J2A-DISP-007", "J2A-IFACE-010")
+    @pytest.mark.parametrize("boot", [False, True])
+    def test_a_function_is_found_anew_behind_a_refresh_that_shows_another_device(self, boot):
+        """Whoever loads firmware need not tell, and refreshes by hand."""
+        new = new_firmware(boot=boot)
+        with connected(old_firmware(boot=boot)) as (board, client):
+            read, add = client.functions.read, client.functions.add
+            log = client.function("log", "(data bytes)")
+            assert read() == 7
+            board.reset(new, says=False)
+            client.refresh()
+            assert read() == 9
+            with pytest.raises(j2a.InterfaceChanged):
+                add(40, 2)
+            assert client.read_many(log) == b"new" * 200
+            assert client.counters.restarts == 0
+        assert new.calls == ["read"]
+
+    @pytest.mark.requirement("J2A-TRANS-026", "J2A-TRANS-027")
+    @pytest.mark.parametrize(("says", "expected"), [(False, (2, True)), (True, (0, True))])
+    def test_samples_go_on_behind_other_firmware(self, says, expected):
+        log = parse_descriptors("\nsensor log 9 1 u8\n queue 9\n")
+        told = []
+        with connected(old_firmware(transducers=log)) as (board, client):
+            client.transducers["log"].on_sample(lambda one: told.append((one.lost, one.is_reset)))
+            board.sif(9, queued(4, 1000))
+            while client.transducers["log"].latest() is None:
+                time.sleep(0.001)
+            board.reset(new_firmware(transducers=log), says=says)
+            if not says:
+                client.refresh()
+                board.skip_sifs(2)
+            board.sif(9, queued(2, 900))
+        assert told == [(0, False), expected]
+
     @pytest.mark.requirement("J2A-BOOT-005")
     def test_one_call_at_a_time_waits_where_the_boot_sif_comes_with_the_properties(self):
         async def main():
