@@ -222,16 +222,18 @@ class SampleSource:
             self._newest = epoch, known
         elif self._newest[0] != sif.epoch:
             return
-        # Else it came before a restart, after which all has been learnt anew already.
+        # Else it came before a restart, after which all has been learnt anew already, perhaps also
+        # the clock, by which its times mean nothing (J2A-CLOCK-026).
+        has_clock = epoch < 0 or restarts_of(epoch) == restarts_of(sif.epoch)
         state = self._newest[1].by_id.get(sif.opcode)
         if state is None:
             return
         try:
-            self.current = state.latest = self._sample(state, sif)
+            self.current = state.latest = self._sample(state, sif, has_clock)
         except PayloadMismatchError as error:
             raise BadPayload(f"a sample of {state.transducer.name}: {error}") from None
 
-    def _sample(self, state: _State, sif: Sif) -> Sample:
+    def _sample(self, state: _State, sif: Sif, has_clock: bool) -> Sample:
         lost, channels = 0, None
         if state.has_queue:
             told, readings, channels, times = state.codec.times_queued(sif.payload)
@@ -251,7 +253,7 @@ class SampleSource:
             sif.missed,
             is_reset,
             sif.payload,
-            self._host_us(newest_us) if newest_us else None,
+            self._host_us(newest_us) if newest_us and has_clock else None,
             state.field_units,
             sif.gone,
         )

@@ -1120,6 +1120,28 @@ class TestTransducers:
 
         assert in_loop(main()) is not None
 
+    @pytest.mark.requirement("J2A-CLOCK-026")
+    @pytest.mark.parametrize("clock", [None, 10.0])
+    def test_a_sample_that_waited_is_not_given_the_time_of_a_clock_that_began_since(self, clock):
+        temp, host_us = parse_descriptors("\nsensor temp 9 1 u8\n"), []
+        options, may_go = {"boot": True, "clock": clock, "transducers": temp}, threading.Event()
+        with connected(j2a.Device(**options)) as (board, client):
+            client.on_sif(99, lambda _sif: may_go.wait(PATIENCE_S))
+            client.transducers["temp"].on_sample(lambda sample: host_us.append(sample.host_us))
+            client.clock.measure(2)
+            board.sif(9, struct.pack("<QB", 1, 1))
+            while not host_us:
+                time.sleep(0.001)
+            board.sif(99)
+            board.sif(9, struct.pack("<QB", 1, 2))
+            restart(board, client, j2a.Device(**options))
+            client.clock.measure(2)
+            may_go.set()
+            while len(host_us) < 2:
+                time.sleep(0.001)
+            board.sif(9, struct.pack("<QB", 1, 3))
+        assert [one is not None for one in host_us] == [True, False, True]
+
     @pytest.mark.parametrize("clock", [None, 10.0])
     def test_what_is_known_of_the_clock_ends_with_a_restart(self, clock):
         """An order for a time, or the host time of a sample, would be by a clock that is gone."""
