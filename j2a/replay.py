@@ -117,7 +117,7 @@ class ReplayBoard(Device):
             one._pace = time.monotonic_ns(), one._local_us(), speed
             one._transducers().set_pace(speed)
         recording = Recording(self._path)
-        due_us = start_us = self._local_us()
+        start_us, passed_ns = self._local_us(), 0
         last_ns = None
         count = 0
         for sample in self._samples(recording):
@@ -126,13 +126,13 @@ class ReplayBoard(Device):
                 continue
             if last_ns is not None:
                 # Where the clock of the computer was set back meanwhile, it goes on at once.
-                due_us += max(0, sample.time_ns - last_ns) // 1000
+                passed_ns += max(0, sample.time_ns - last_ns)
             last_ns = sample.time_ns
-            if not self._wait_until(due_us):
+            if not self._wait_until(start_us + passed_ns // 1000):
                 return count
             board._transducers().give(partial(board._replay, sample))
             count += 1
-            progress((due_us - start_us) / 1e6)
+            progress(passed_ns / 1e9)
         self.is_whole = recording.is_whole
         return count
 

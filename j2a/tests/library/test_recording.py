@@ -687,6 +687,17 @@ class TestReplay:
         ids = {"quad": 0, "imu": 2}
         assert found[:-1] == [(ids[name], payload) for name, _, _, payload in written]
 
+    def test_parts_of_microseconds_add_up(self, path):
+        with Recorder(path) as recorder:
+            recorder.add_board("cart", FILE)
+            for number in range(2001):
+                recorder.write("cart", sample("quad", bytes(20)), 10**18 + 1999 * number)
+        device = ReplayBoard(path)
+        with device, linked(device):
+            played_s = []
+            device.play(speed=1e6, progress=played_s.append)
+        assert played_s[-1] == pytest.approx(2000 * 1999e-9, abs=2e-6)
+
     def test_it_waits_for_a_host_and_stops(self, hour):
         path, _ = hour
         device = ReplayBoard(path)
