@@ -601,8 +601,9 @@ class DeviceInfo:
     def _probe(
         self, what: str, opcode: int, content: bytes | bytearray, first: Chunk
     ) -> Transfer[None]:
+        probed = self._probed  # of this map: another thread may take one meanwhile
         yield from probe_offsets(what, opcode, content, first)
-        self._probed.add(opcode)
+        probed.add(opcode)
 
 
 def is_map(reply: Reply | None) -> bool:

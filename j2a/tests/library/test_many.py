@@ -392,6 +392,25 @@ class TestHonestOldDevices:
         with pytest.raises(j2a.LegacyLimit):
             drive(device._execute, peer.read("other", DEFAULT_MAX_BYTES, None))
 
+    @pytest.mark.requirement("J2A-MANY-014")
+    def test_a_probe_says_nothing_of_the_map_that_another_thread_takes_meanwhile(self):
+        honest = self.Honest()
+        honest._content += content(600)
+        peer = know(honest)
+
+        def execute(opcode, payload):
+            if payload[:1] == bytes((peer.names["store"],)) and payload[2:6] == b"\0\1\0\0":
+                peer.take_map(Reply(*honest._execute(0, b"")))  # this is the probe
+            return honest._execute(opcode, payload)
+
+        def execute_old(opcode, payload):
+            code, reply = honest._execute(opcode, payload[:3] + bytes(3) + payload[6:])
+            return code, reply[:3] + payload[3:6] + reply[6:]
+
+        drive(execute, peer.write("store", content(600), None))
+        with pytest.raises(j2a.LegacyLimit):
+            drive(execute_old, peer.write("store", content(600), None))
+
     def test_a_write_to_a_function_that_has_nothing_to_show_is_refused(self):
         device = self.Honest()
         with pytest.raises(j2a.LegacyLimit):
