@@ -511,11 +511,17 @@ class Device(FunctionRegistry):
 
     def _execute(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
         received_us = self._local_us()
-        if self._runner is not None:
-            self._runner.hear()
+        self._hear()
         with self._calling:
             self._received_us = received_us
-            return self._table.execute(opcode, payload)
+            try:
+                return self._table.execute(opcode, payload)
+            finally:
+                self._hear()  # a function may run for longer than a watchdog waits
+
+    def _hear(self) -> None:
+        if self._runner is not None:
+            self._runner.hear()
 
 
 def default_max_hosts() -> int:

@@ -143,7 +143,7 @@ class TransducerRunner:
     # ------------------------------------------------------------------ requests
 
     def hear(self) -> None:
-        """Notice a request of a host."""
+        """Notice a request of a host, or that its function has returned."""
         with self._changed:
             if self._server.hear(self._local_us()):
                 self._wake()

@@ -102,7 +102,7 @@ class TransducerServer:
     # ------------------------------------------------------------------ requests
 
     def hear(self, local_us: int) -> bool:
-        """Notice that the host has sent a request (J2A-TRANS-017).
+        """Notice that the host sent a request, or that its function returned (J2A-TRANS-017).
 
         Args:
             local_us: the local time, by which intervals are measured (J2A-CLOCK-019).

@@ -1,4 +1,6 @@
-"""What keeps the watchdog of an actuator quiet: requests of each kind (J2A-TRANS-017)."""
+"""What keeps the watchdog of an actuator quiet: requests of each kind, however long their functions
+run (J2A-TRANS-017).
+"""
 
 import struct
 from collections.abc import Callable
@@ -13,6 +15,7 @@ from j2a_conformance._judge import Judged, fail
 from j2a_conformance.device._peer import MANY_ONLY, Peer, Request
 
 from ._board import Board, TransducerCase, safe, slots, unsafe
+from .limits import delay
 
 _LIMIT_MS: Final = 150
 _TIMES: Final = 5
@@ -72,3 +75,45 @@ class Heard(TransducerCase):
             board.peer.ask(make())
         if slots(board, one, board.read(one, c.TRANSD_SAMPLE))[0][1] != value:
             fail(f"{one.name} was made safe, though requests came: {name}", suspect=True)
+
+
+class Busy(TransducerCase):
+    """Keeps the device busy by `delay`, for less and more than the watchdog of an actuator waits;
+    is silent then.
+    """
+
+    ID = "transducers.heard-busy"
+    EXPECTATION = "It stays as it was set until the function has returned for so long."
+    REQUIREMENTS = ("J2A-TRANS-017",)
+    NEEDS = (*TransducerCase.NEEDS, "delay")
+    _PARTS: Final = ((0.5, 0.7), (2.0, 0.2))  # of the watchdog: `delay`, and the silence
+
+    def _judge(self, board: Board) -> None:
+        for one in board.actuators("watchdog"):
+            before = board.read(one, c.TRANSD_WATCHDOG)
+            try:
+                for busy, silent in self._PARTS:
+                    board.peer.attempts(
+                        lambda one=one, busy=busy, silent=silent: (  # type: ignore[misc]
+                            self._keep(board, one, busy, silent)
+                        )
+                    )
+            finally:
+                with suppress(Judged, TransportError):
+                    board.write(one, c.TRANSD_WATCHDOG, before)
+
+    @staticmethod
+    def _keep(board: Board, one: oracle.Transducer, busy: float, silent: float) -> None:
+        value, peer = unsafe(board, one), board.peer
+        if value == safe(board, one):  # it has one value only
+            return
+        exchanged_us = -board.time_us() + board.time_us()
+        limit_ms = _LIMIT_MS + 4 * exchanged_us // 1000  # of a slow link, too
+        board.write(one, c.TRANSD_SET, bytes(9) + value)
+        board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", limit_ms))
+        peer.ask(*delay(peer, round(busy * limit_ms)))
+        peer.silence(silent * limit_ms / 1e3, "while nothing was asked")
+        raw = slots(board, one, board.read(one, c.TRANSD_SAMPLE))[0][1]
+        if raw != value:
+            what = f"{one.name}, busy for {busy:.1f} times its watchdog of {limit_ms} ms,"
+            fail(f"{what} is {raw.hex()} after {silent:.1f} times that in silence", suspect=True)
