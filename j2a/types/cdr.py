@@ -37,7 +37,7 @@ class SampleMessage:
         self._channels = sensor.channels
         self._sizes = tuple(_sizes(sensor.type))
         # Of an array the elements are elements of the message, which has no array in an array.
-        self._elements = 1 if isinstance(sensor.type.element, Structure) else len(self._sizes)
+        self._elements = sensor.type.count or 1
         self._entry = self._has_queue + TIME_BYTES + sensor.type.size
         self._layouts: dict[int, tuple[int, struct.Struct, struct.Struct]] = {}
 

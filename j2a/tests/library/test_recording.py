@@ -25,6 +25,7 @@ from j2a.io.whole_file import WholeFile
 from j2a.recording import _CHUNK_BYTES, Recorder, Recording, topic_of
 from j2a.replay import ReplayBoard
 from j2a.types.cdr import SampleMessage
+from j2a.types.descriptors import parse_descriptors
 from j2a.types.ros import ros2_definition
 from j2a.types.transds_file import read_transds
 
@@ -88,6 +89,29 @@ class TestMessages:
             message = SampleMessage(SENSORS[name]).pack(payload)
             assert SampleMessage(SENSORS[name]).unpack(message) == payload
             raise ValueError("it is a sample after all")
+
+    @pytest.mark.parametrize("kind", ["u8", "u8[1]", "u8[3]", "p", "p[1]", "p[3]"])
+    @pytest.mark.parametrize("queue", ["", " queue 2\n"])
+    def test_another_reader_gets_each_element_of_an_array(self, kind, queue):
+        """Also of an array of structures, of which it saw the first one only."""
+        dynamic = pytest.importorskip("mcap_ros2._dynamic")
+        types = "struct p (x u8)\n" * kind.startswith("p")
+        board = parse_descriptors(f"{types}\nsensor s 0 2 {kind}\n{queue}")
+        count = board["s"].type.count or 1
+        entries = [(1_000_005, bytes(range(count))), (2_000_007, bytes(range(7, 7 + count)))]
+        payload = b"\5\0" if queue else b""
+        for channel, (time_us, value) in enumerate(entries):
+            payload += bytes([channel] * bool(queue)) + struct.pack("<Q", time_us) + value
+        name, text = ros2_definition(board, "s")
+        read = dynamic.generate_dynamic(name, text)[name]
+        message = SampleMessage(board["s"]).pack(payload)
+        found = read(message)
+        assert microseconds(found.times) == [1_000_005, 2_000_007]
+        values = bytes(getattr(one, "x", one) for one in found.values)
+        assert values == entries[0][1] + entries[1][1]
+        if queue:
+            assert (bytes(found.channels), found.lost) == (b"\0\1", 5)
+        assert SampleMessage(board["s"]).unpack(message) == payload
 
     def test_the_definition_has_all_that_it_uses(self):
         kind, text = ros2_definition(FILE, "imu")
