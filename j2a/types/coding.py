@@ -32,6 +32,7 @@ __all__ = [
     "PythonTypes",
     "items_of",
     "name_on_wire",
+    "numbers_by_name",
 ]
 
 NUMBER_CODES: Final = {
@@ -387,9 +388,15 @@ def _takes(element: str) -> str:
     return f"an integer of {allowed[0]} to {allowed[-1]} ({element})"
 
 
+def numbers_by_name(element: Enumeration, types: PythonTypes) -> dict[str, int]:
+    """Return the numbers of an enumeration by their names: those of Python and of the device."""
+    own = {member.name: int(member) for member in types.enum(element)}
+    return own | dict(element.values)
+
+
 def _enumeration(element: Enumeration, types: PythonTypes) -> _Part:
     members = {int(member): member for member in types.enum(element)}
-    by_name = {member.name: number for number, member in members.items()} | dict(element.values)
+    by_name = numbers_by_name(element, types)
 
     def flatten(value: Any, name: str, flat: list[Any]) -> None:
         number = by_name.get(value) if isinstance(value, str) else value

@@ -19,7 +19,14 @@ from j2a_spec.plural import counted
 
 from j2a.errors import WrongArgument
 from j2a.events import Reading, Readings
-from j2a.types.coding import NUMBER_CODES, Codec, PayloadMismatchError, PythonTypes, items_of
+from j2a.types.coding import (
+    NUMBER_CODES,
+    Codec,
+    PayloadMismatchError,
+    PythonTypes,
+    items_of,
+    numbers_by_name,
+)
 from j2a.types.model import Enumeration, Field, Structure, Type
 from j2a.types.transducers import (
     LOST_BYTES,
@@ -58,7 +65,7 @@ class SampleCodec:
         if isinstance(named := transducer.type.element, Enumeration) and element is not None:
             integer = replace(transducer.type, element=named.integer)
             self._raw_codec = Codec((Field(transducer.name, integer),), types)
-            self._numbers = dict(named.values)
+            self._numbers = numbers_by_name(named, types)
         self._size = transducer.type.size
         self._na = transducer.na
         self._na_is_nan = self._na is not None and math.isnan(self._na)

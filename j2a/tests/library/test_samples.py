@@ -201,6 +201,19 @@ def test_ranges_are_told_in_order_and_with_their_digits(lines, value, told, shee
     assert f"<th>Range</th><td>{sheet}</td>" in data_sheets(board, "x")
 
 
+@pytest.mark.requirement("J2A-TRANS-025")
+@pytest.mark.parametrize("name", ["class", "class_", "_x", "n_x"])
+def test_a_name_is_in_range_or_refused_whatever_python_calls_it(name):
+    """The names of Python went past the range."""
+    board = parse_descriptors("enum e u8 (a=0, class=5, _x=6)\n\nactuator a 1 1 e\n range 0, 5\n")
+    codec = SampleCodec(board["a"], PythonTypes())
+    if name.startswith("class"):
+        assert codec.pack_set([name], 0, 0)[-1] == 5
+    else:
+        with pytest.raises(WrongArgument, match="a is 0 to 5, not 6"):
+            codec.pack_set([name], 0, 0)
+
+
 @pytest.mark.parametrize("kind", ["u8\n scale 2", "f32", "f64", "i16"])
 def test_no_number_is_too_strange_to_be_told_the_range(kind):
     numpy = pytest.importorskip("numpy")
