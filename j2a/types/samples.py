@@ -28,6 +28,7 @@ from j2a.types.coding import (
     numbers_by_name,
 )
 from j2a.types.model import Enumeration, Field, Structure, Type
+from j2a.types.scaled_numbers import nearest_whole
 from j2a.types.transducers import (
     LOST_BYTES,
     TIME_BYTES,
@@ -244,10 +245,12 @@ class SampleCodec:
             raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")
         if self._scale == 0:
             raise WrongArgument(f"{self.transducer.name} has the scale 0: set it by raw values")
-        with contextlib.suppress(OverflowError):
+        with contextlib.suppress(OverflowError, ValueError):
+            if self._is_integer:
+                return nearest_whole(value, self._scale, self._offset)
             raw = (float(value) - self._offset) / self._scale
             if math.isfinite(raw):
-                return round(raw) if self._is_integer else raw
+                return raw
         raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")
 
     def check_range(self, raw: Raw) -> None:

@@ -6,15 +6,21 @@ in the unit of the transducer, as a number, as that of the fewest digits, and as
 
 import math
 from decimal import Decimal
+from fractions import Fraction
+from numbers import Integral
 from typing import Any, Final
 
 from j2a.types.transducers import Transducer, rounded, shortest_f32
 
-__all__ = ["in_unit", "scaling_of", "shortest_in_unit", "text_in_unit"]
+__all__ = ["in_unit", "nearest_whole", "scaling_of", "shortest_in_unit", "text_in_unit"]
 
 _DIGITS: Final = 6
 """An integer has no fewer: one digit would tell 0.25 from 0.5, yet 0.2 is not what was measured."""
 _MOST_DIGITS: Final = 17
+_INEXACT: Final = 2.0**50
+"""From here on the errors of three operations with floats may make another integer."""
+_WITH_EXPONENT: Final = 1e16
+"""From here on texts have an exponent, so that who reads them makes floats of them."""
 
 
 def scaling_of(transducer: Transducer) -> tuple[float, float]:
@@ -37,6 +43,24 @@ def in_unit(raw: float, element: object, scale: float, offset: float) -> float:
     if element == "f32":
         raw = shortest_f32(raw)
     return float(_decimal(raw) * _decimal(scale) + _decimal(offset))
+
+
+def nearest_whole(value: Any, scale: float, offset: float) -> int:
+    """Return the raw integer that is nearest to a number in the unit.
+
+    Args:
+        value: the number; all digits of an integer count, also those that an f64 does not hold.
+        scale: of its transducer, not 0.
+        offset: of its transducer.
+
+    Raises:
+        OverflowError, ValueError: it is beyond the numbers of floats.
+    """
+    raw = (float(value) - offset) / scale
+    if abs(raw) < _INEXACT or math.isinf(raw) or not isinstance(value, Integral):
+        return round(raw)
+    # Not by Decimal, whose digits a program may limit.
+    return round((int(value) - Fraction(repr(offset))) / Fraction(repr(scale)))
 
 
 def shortest_in_unit(raw: float, element: object, scale: float, offset: float) -> float:
@@ -66,4 +90,7 @@ def _raw(value: float, element: object, scale: float, offset: float) -> Any:
     number = (value - offset) / scale
     if element == "f32":
         return rounded("f32", number)
-    return round(number) if math.isfinite(number) else number
+    if math.isinf(number):
+        return number
+    is_whole = value.is_integer() and abs(value) < _WITH_EXPONENT
+    return nearest_whole(int(value) if is_whole else value, scale, offset)

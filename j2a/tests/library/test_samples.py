@@ -1,8 +1,10 @@
 """From SIFs to samples: each by the descriptors of its time, whoever learns others meanwhile."""
 
+import math
 import re
 import struct
 import threading
+from fractions import Fraction
 from types import SimpleNamespace
 
 import pytest
@@ -212,6 +214,41 @@ def test_a_name_is_in_range_or_refused_whatever_python_calls_it(name):
     else:
         with pytest.raises(WrongArgument, match="a is 0 to 5, not 6"):
             codec.pack_set([name], 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "raw"),
+    [
+        ("i64\n scale 1", 2**53 + 1, 2**53 + 1),
+        ("i64\n scale -1", 2**63, -(2**63)),
+        ("u64\n scale 1", 2**64 - 1, 2**64 - 1),
+        ("i64\n offset 5", 2**60 + 6, 2**60 + 1),
+        ("i64 ms\n scale 0.001", 9_000_000_000_001, 9_000_000_000_001_000),
+        ("i64\n scale 3\n offset -0.5", 2**62 + 1, 1537228672809129302),
+        ("i64\n scale 0.1", 400_000_000_000_007, 4_000_000_000_000_070),
+        ("i16\n scale 0.1", 0.35, 3),
+        ("i16\n scale 0.4", 1, 2),
+    ],
+)
+def test_all_digits_of_an_integer_reach_the_board(kind, value, raw):
+    """An f64 between them lost those beyond 53 bits, or made the largest integers too large."""
+    numpy = pytest.importorskip("numpy")
+    codec = SampleCodec(parse_descriptors(f"\nactuator a 1 1 {kind}\n")["a"], PythonTypes())
+    is_signed = kind.startswith("i")
+    assert int.from_bytes(codec.pack_set([value], 0, 0)[9:], "little", signed=is_signed) == raw
+    if isinstance(value, int):
+        assert codec.raw_of(numpy.array([value])[0]) == raw
+    assert all(isinstance(codec.raw_of(one), int) for one in (5, 5.0, Fraction(1, 3)))
+
+
+@pytest.mark.parametrize("value", [10**400, -(10**400), math.inf, -math.inf, math.nan])
+@pytest.mark.parametrize(
+    "kind", ["u8\n scale 2", "i64\n offset 1", "f32\n scale 2", "f64\n scale 2"]
+)
+def test_what_is_no_finite_number_is_refused_in_words(kind, value):
+    codec = SampleCodec(parse_descriptors(f"\nactuator a 1 1 {kind}\n")["a"], PythonTypes())
+    with pytest.raises(WrongArgument, match="a takes a number, not "):
+        codec.raw_of(value)
 
 
 @pytest.mark.parametrize("kind", ["u8\n scale 2", "f32", "f64", "i16"])
