@@ -398,8 +398,9 @@ def _is_a(kind: type, value: object) -> bool:
 
 def _whole(setting: str, value: Any, unit: int, most: int) -> int:
     if not _is_a(Real, value) or not 0 <= value <= most / unit:
-        raise WrongArgument(f"{setting} is 0 to {most / unit:g} s, not {value!r:.40}")
-    return round(float(value) * unit)
+        raise WrongArgument(f"{setting} is 0 to {most / unit:.12g} s, not {value!r:.40}")
+    # No time above 0 becomes 0, which is never for a watchdog.
+    return max(round(float(value) * unit), int(value > 0))
 
 
 _TransducerT = TypeVar("_TransducerT", bound=RemoteTransducer)

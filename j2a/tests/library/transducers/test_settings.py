@@ -138,11 +138,19 @@ class TestSettings:
         assert (quad.period, quad.enabled) == (0, True)
         assert quad.time_us() > 0
 
+    @pytest.mark.parametrize(
+        ("watchdog", "due"), [(0, 0), (5e-324, 0.001), (0.0005, 0.001), (0.0016, 0.002)]
+    )
+    def test_no_watchdog_is_switched_off_by_a_short_time(self, board, watchdog, due):
+        servo = board.transducers["servo"]
+        servo.watchdog = watchdog
+        assert servo.watchdog == due
+
     @pytest.mark.requirement("J2A-TRANS-025")
     @pytest.mark.parametrize(
         ("name", "settings", "why"),
         [
-            ("quad", {"period": -1}, "period is 0 to 4294.97 s"),
+            ("quad", {"period": -1}, "period is 0 to 4294.967295 s"),
             ("quad", {"period": 4295}, "period is"),
             ("quad", {"period": math.nan}, "period is"),
             ("quad", {"period": "fast"}, "period is"),
