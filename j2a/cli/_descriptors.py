@@ -47,7 +47,7 @@ def _cells(one: Transducer) -> tuple[str, ...]:
         *(one.name, one.kind, str(one.type).partition(" ")[0]),
         ", ".join(dict.fromkeys(filter(None, one.units.values()))),
         *(str(one.channels), one.model),
-        f"{one.period_us / 1000:g} ms" if one.period_us else "",
+        f"{one.period_us / 1000:.12g} ms" if one.period_us else "",
         "" if one.topic == one.name else one.topic,
     )
 

@@ -526,6 +526,11 @@ def test_the_table_of_info_fits_into_80_columns(run, length, left_out):
     assert ("1.5 ms" in table[1]) == (length < 31)
 
 
+def test_info_has_all_digits_of_a_period(run):
+    out = info(run, "SENSOR(a, 0, a, M, 1, i16, -1, (period, 1234567))").out
+    assert "  1234.567 ms\n" in out
+
+
 def test_info_of_a_board_without_transducers(run, demo):
     assert "transducers" not in run("info", demo).out
     facts = json.loads(run("info", demo, "--json").out)
