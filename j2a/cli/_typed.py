@@ -94,7 +94,7 @@ def _value(field: Field, word: str) -> object:
         if field.type.count is None and not isinstance(element, Structure):
             return _scalar(element, word)
         if word[:1] in ("[", "{"):
-            return json.loads(word, parse_float=finite_or_said)
+            return json.loads(word, parse_float=finite_or_said, object_pairs_hook=_each_once)
         parts = word.split(",") if word else []
         if not isinstance(element, Structure):
             return [_scalar(element, part) for part in parts]
@@ -108,6 +108,14 @@ def _value(field: Field, word: str) -> object:
         ]
     except (ValueError, OverflowError, RecursionError) as error:
         raise UsageError(f"{word!r:.200} is no value of {field}: {error}") from None
+
+
+def _each_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"{next(one for one in names if names.count(one) > 1)} is given twice")
+    return found
 
 
 def _scalar(element: Element, word: str) -> object:

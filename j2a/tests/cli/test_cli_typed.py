@@ -66,6 +66,8 @@ def test_words_become_values(signature, words, values):
         ("(a i16[3])", ["1,x,3"]),
         ("(a point)", ["1"]),
         ("(a point)", ["{"]),
+        ("(a point)", ['{"x": 1, "x": 2, "mode": 0}']),
+        ("(a point[1])", ['[{"mode": 1, "x": 1, "mode": 0}]']),
         ("(a point[1])", ["1,slow"]),
         pytest.param("(a u8[])", ["[" * 100_000], id="nested"),
         ("(a bytes)", ["xyz"]),
