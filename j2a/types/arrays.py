@@ -110,9 +110,10 @@ class Batch:
         sensor = self.sensor
         if number_element(replace(sensor.type, count=None)) is None:
             raise LocalError(f"{sensor.name} has values of type {sensor.type}: see raw")
-        values = self.raw.astype("f8")
-        if sensor.is_scaled:
-            with np.errstate(over="ignore", invalid="ignore"):  # what is too large is infinite
+        # What is too large is infinite, and no NaN of a sensor is worth a warning.
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = self.raw.astype("f8")
+            if sensor.is_scaled:
                 values = values * sensor.scale + sensor.offset
         values[self._is_none()] = np.nan
         return values

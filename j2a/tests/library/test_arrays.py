@@ -3,6 +3,7 @@
 import math
 import struct
 import sys
+import warnings
 
 import pytest
 from hypothesis import given
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 import j2a
 from j2a.types.arrays import Batch
 from j2a.types.coding import PythonTypes
+from j2a.types.descriptors import parse_descriptors
 from j2a.types.samples import SampleCodec
 from j2a.types.transds_file import read_transds
 
@@ -183,6 +185,14 @@ def test_values_of_arrays_are_numbers(kind, values):
     found = Batch(sensor, [struct.pack("<Q3BQ3B", 5, 1, 0, 1, 0, 1, 1, 1)]).values
     assert found[0, 0].tolist() == values
     assert np.isnan(found[0, 1]).all()
+
+
+def test_a_signalling_nan_is_a_value_without_a_warning():
+    [sensor] = parse_descriptors("\nsensor a 1 1 f32\n").transducers
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        batch = Batch(sensor, [struct.pack("<QI", 5, 0x7F800001)])
+        assert math.isnan(batch.values[0, 0])
 
 
 def test_samples_of_a_board():
