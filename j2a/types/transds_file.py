@@ -54,6 +54,8 @@ _WHOLE: Final = re.compile(r"-?[0-9]{19,400}")
 _TOP: Final = 1 << 63
 _STRING: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"')
 _TEXTS: Final = ("model", "unit", "topic")
+_DECIMALS: Final = ("scale", "offset", "accuracy")
+"""Numbers in the unit, of which none is hexadecimal."""
 _QUOTED: Final = re.compile(r"\".*\"|'.+'")  # '' is the second of arc, a unit
 _ASSIGNED: Final = re.compile(rf"({NAME.pattern})\s*[=:]\s*(.+)")
 _UNQUOTED: Final = re.compile(r"[^\s(),\"'\\]+(?: [^\s(),\"'\\]+)*")
@@ -241,11 +243,11 @@ class _Entry:
             what += f"write {plain}" if _UNQUOTED.fullmatch(plain) else "leave them out"
             raise self._reader.error(what, node)
 
-    def _check_number(self, text: str, node: Node) -> None:
+    def _check_number(self, text: str, node: Node, key: str = "") -> None:
         """Refuse what C reads in another way than people do."""
         if what := octal_problem(text):
             raise self._reader.error(what, node)
-        if (written := _c_number(text)) != text:
+        if (written := _c_number(text, key)) != text:
             raise self._reader.error(f"C has no decimal number {text}; write {written}", node)
 
     def _type(self, node: Node) -> str:
@@ -302,7 +304,7 @@ class _Entry:
                 value = f"{item[1]}, {item[2]}"
             if key in KEYS and key != "topic":
                 for text in value.split(", "):
-                    self._check_number(text, item[1] if len(item) > 1 else key)
+                    self._check_number(text, item[1] if len(item) > 1 else key, key)
             lines[key] = (str(key), value, item[1] if len(item) > 1 else key)
         return unit, doc, list(lines.values())
 
@@ -419,17 +421,22 @@ def _field(field: Field) -> str:
     return f"({_element(str(field.type).partition(' ')[0])}, {field.name}{unit})"
 
 
-def _c_number(text: str) -> str:
+def _c_number(text: str, key: str = "") -> str:
     """Return a number as C can read it: decimal constants end at the largest int64_t.
 
     No zero stands in front of one, which would be octal.
+
+    Args:
+        text: the number.
+        key: whose value it is.
     """
     if match := _OCTAL.fullmatch(text):
         text = f"{match[1]}{match[2]}"
     if not _WHOLE.fullmatch(text) or -_TOP < int(text) < _TOP:
         return text
     number = int(text)
-    return f"{number:#X}".replace("X", "x") if -_TOP <= number < 2 * _TOP else f"{text}.0"
+    is_hex = key not in _DECIMALS and -_TOP <= number < 2 * _TOP
+    return f"{number:#X}".replace("X", "x") if is_hex else f"{text}.0"
 
 
 def _element(text: str) -> str:
@@ -452,7 +459,7 @@ def _attributes(one: Transducer) -> tuple[tuple[str, str], ...]:
     found |= {name: value for name, value in one.attributes if name not in found}
     for name, value in found.items():
         if name in KEYS and name not in ("prefix", *_TEXTS):
-            found[name] = ", ".join(map(_c_number, value.split(", ")))
+            found[name] = ", ".join(_c_number(one, name) for one in value.split(", "))
     return tuple(found.items())
 
 

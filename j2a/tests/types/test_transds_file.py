@@ -241,6 +241,7 @@ WRONG = [
     ("SENSOR(a, 1, a, X, 1, f64, 18446744073709551616)", 1, 28, "write 18446744073709551616.0"),
     ("SENSOR(a, 1, a, X, 1, u64, none, (threshold, 9999999999999999999))", 1, 46, "0x8AC72304"),
     ("SENSOR(a, 1, a, X, 1, u64, none, (range, 1, 9223372036854775808))", 1, 42, "0x80000000"),
+    ("SENSOR(a, 1, a, X, 1, u8, 0, (offset, 9223372036854775808))", 1, 39, "775808.0"),
     ("\ufeff" + GOOD + "SENSOR(b, 1, b, X, 1, u8, none)", 2, 11, "a has the id 1, too"),
     (GOOD.replace("\n", "\r\n") + "\tSENSOR(b,\t1, b, X, 1, u8, none)", 2, 12, "the id 1, too"),
     (GOOD + "\0", 2, 1, 'a "(" is expected'),
@@ -456,12 +457,13 @@ class TestWriting:
         text = (
             "\nsensor a 1 1 u64\n na 18446744073709551615\n range 5, 9223372036854775808\n"
             "sensor b 2 1 i64\n na -9223372036854775808\n threshold 9223372036854775807\n"
-            "sensor c 3 1 f64\n na 18446744073709551616\n"
+            "sensor c 3 1 f64\n na 18446744073709551616\n scale 9999999999999999999\n"
         )
         written = transds_text(parse_descriptors(text), "a board")
         a, b, c = read_transds(written).transducers
         assert (a.na, a.range) == (2**64 - 1, (5, 2**63))
         assert (b.na, b.threshold, c.na) == (-(2**63), 2**63 - 1, 2.0**64)
+        assert c.scale == 1e19
         assert "9223372036854775807)" in written
         assert not any(number in written for number in ("18446744073709551615", "775808"))
 
