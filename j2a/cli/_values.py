@@ -35,7 +35,7 @@ _TYPED: Final = re.compile(r"([A-Za-z][A-Za-z0-9]*):(.*)", re.DOTALL)
 _MOST: Final = 2**32
 """Bytes of a file; an offset of a2jMany has 32 bits."""
 _PIECE: Final = 2**20
-_HEX_SEPARATORS: Final = re.compile(r"[\s,:_]+|0[xX]")
+_HEX_SEPARATORS: Final = re.compile(r"[\s,:_]+|(?<![0-9A-Za-z])0[xX](?=[0-9A-Fa-f])")
 _SHOWN_AS: Final = {0x5C: "\\\\", 0x0A: "\\n", 0x0D: "\\r", 0x09: "\\t", 0x00: "\\0"}
 
 

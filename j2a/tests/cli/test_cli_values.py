@@ -48,6 +48,9 @@ def test_words_become_bytes(words, payload):
     [
         ("1", "two digits"),
         ("12e", "two digits"),
+        ("100x20", "two digits"),  # is no 10 20
+        ("0x", "two digits"),  # of a variable of a script that is empty
+        ("0x0x12", "two digits"),
         ("hello", "str:hello"),
         ("hex:zz", "two digits"),
         ("u8:256", "from 0 to 255"),
