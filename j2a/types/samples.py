@@ -28,7 +28,7 @@ from j2a.types.coding import (
     numbers_by_name,
 )
 from j2a.types.model import Enumeration, Field, Structure, Type
-from j2a.types.scaled_numbers import nearest_whole
+from j2a.types.scaled_numbers import nearest_f64, nearest_whole
 from j2a.types.transducers import (
     LOST_BYTES,
     TIME_BYTES,
@@ -248,7 +248,11 @@ class SampleCodec:
         with contextlib.suppress(OverflowError, ValueError):
             if self._is_integer:
                 return nearest_whole(value, self._scale, self._offset)
-            raw = (float(value) - self._offset) / self._scale
+            # What a limit was read as is that limit, though floats may make a bit more of it.
+            for end in self._range or ():
+                if value == self.physical(end):
+                    return end
+            raw = nearest_f64(value, self._scale, self._offset)
             if math.isfinite(raw):
                 return raw
         raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")

@@ -12,7 +12,14 @@ from typing import Any, Final
 
 from j2a.types.transducers import Transducer, rounded, shortest_f32
 
-__all__ = ["in_unit", "nearest_whole", "scaling_of", "shortest_in_unit", "text_in_unit"]
+__all__ = [
+    "in_unit",
+    "nearest_f64",
+    "nearest_whole",
+    "scaling_of",
+    "shortest_in_unit",
+    "text_in_unit",
+]
 
 _DIGITS: Final = 6
 """An integer has no fewer: one digit would tell 0.25 from 0.5, yet 0.2 is not what was measured."""
@@ -59,8 +66,24 @@ def nearest_whole(value: Any, scale: float, offset: float) -> int:
     raw = (float(value) - offset) / scale
     if abs(raw) < _INEXACT or math.isinf(raw) or not isinstance(value, Integral):
         return round(raw)
-    # Not by Decimal, whose digits a program may limit.
-    return round((int(value) - Fraction(repr(offset))) / Fraction(repr(scale)))
+    return round((int(value) - _fraction(offset)) / _fraction(scale))
+
+
+def nearest_f64(value: Any, scale: float, offset: float) -> float:
+    """Return the raw f64 that is nearest to a number in the unit: 3 for 0.3 with a scale of 0.1.
+
+    Args: as `nearest_whole`.
+
+    Raises:
+        OverflowError, ValueError: it is beyond the numbers of floats.
+    """
+    exact = (_fraction(float(value)) - _fraction(offset)) / _fraction(scale)
+    return float(exact) or (float(value) - offset) / scale  # which may be -0.0
+
+
+def _fraction(number: float) -> Fraction:
+    """Return what the digits of a number say: of 0.1 a tenth, which its f64 is not."""
+    return Fraction(repr(number))  # not by Decimal, whose digits a program may limit
 
 
 def shortest_in_unit(raw: float, element: object, scale: float, offset: float) -> float:

@@ -18,6 +18,7 @@ from j2a.types.coding import PythonTypes
 from j2a.types.datasheet import data_sheets
 from j2a.types.descriptors import parse_descriptors
 from j2a.types.samples import SampleCodec
+from j2a.types.scaled_numbers import in_unit
 
 from .support import PATIENCE_S
 
@@ -239,6 +240,26 @@ def test_all_digits_of_an_integer_reach_the_board(kind, value, raw):
     if isinstance(value, int):
         assert codec.raw_of(numpy.array([value])[0]) == raw
     assert all(isinstance(codec.raw_of(one), int) for one in (5, 5.0, Fraction(1, 3)))
+
+
+@pytest.mark.parametrize("kind", ["f32", "f64"])
+@pytest.mark.parametrize("scale", ["0.1", "0.7", "1e-4", "0.18", "-0.3"])
+def test_the_limits_that_are_told_and_read_can_be_set(kind, scale):
+    """A division of floats made a bit more of them, which is out of range."""
+    for limit in (*range(1, 40), 1000, 12345):
+        text = f"\nactuator a 1 1 {kind}\n scale {scale}\n offset 0.2\n range -{limit}, {limit}\n"
+        board = parse_descriptors(text)
+        codec = SampleCodec(board["a"], PythonTypes())
+        for raw in (-limit, limit):
+            told = in_unit(float(raw), kind, float(scale), 0.2)
+            for value in (told, codec.physical(float(raw))):
+                assert codec.pack_set([value], 0, 0)[9:] == codec.pack_raw(raw)
+
+
+def test_a_zero_keeps_its_sign_and_the_smallest_number_its_value():
+    codec = SampleCodec(parse_descriptors("\nactuator a 1 1 f64\n scale 2\n")["a"], PythonTypes())
+    assert math.copysign(1, codec.raw_of(-0.0)) == -1
+    assert (codec.raw_of(1e-323), codec.raw_of(1.7e308), codec.raw_of(5)) == (5e-324, 8.5e307, 2.5)
 
 
 @pytest.mark.parametrize("value", [10**400, -(10**400), math.inf, -math.inf, math.nan])
