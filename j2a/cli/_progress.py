@@ -6,6 +6,8 @@ Rules: nothing is drawn when standard error is no terminal, when the user does n
 the first moments; numbers of bytes are those of payload.
 """
 
+import contextlib
+import os
 import sys
 import time
 from typing import Final, Self
@@ -56,17 +58,28 @@ class Progress:
         self._next = now + _EVERY_S
         self._drawn = True
         rate = done / (now - self._start)
+        head, left = f"{self._what}  ", ""
         if total:
             done = min(done, total)
-            filled = int(_WIDTH * done / total)
-            bar = f"[{'#' * filled}{'.' * (_WIDTH - filled)}] {int(100 * done / total):3d} %  "
             left = f"  {(total - done) / rate:.0f} s left" if done else ""
-        else:
-            bar, left = "", ""
         amount = f"{done:.0f} s" if self._in_seconds else f"{size_text(done)}  {size_text(rate)}/s"
-        line = f"{self._what}  {bar}{amount}{more and f'  {more}'}{left}"
+        tail = f"{amount}{more and f'  {more}'}{left}"
+        most = _columns() - 1  # what goes on in the next line cannot be drawn over
+        if total:
+            tail = f"{int(100 * done / total):3d} %  {tail}"
+            width = min(_WIDTH, most - len(f"{head}[] {tail}"))
+            filled = int(width * done / total)
+            head += f"[{'#' * filled}{'.' * (width - filled)}] " * (width > 0)
+        line = f"{head}{tail}"[:most]
         sys.stderr.write(f"\r{line}\x1b[K")
         sys.stderr.flush()
+
+
+def _columns() -> int:
+    """Return how many columns the terminal has; it may be made narrower meanwhile."""
+    with contextlib.suppress(OSError, ValueError):  # it does not say
+        return os.get_terminal_size(sys.stderr.fileno()).columns or sys.maxsize
+    return sys.maxsize
 
 
 def size_text(size: float) -> str:

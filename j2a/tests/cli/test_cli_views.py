@@ -1,6 +1,7 @@
 """What a link looks like to people: the wire trace and the progress bar."""
 
 import io
+import os
 import re
 import sys
 import threading
@@ -199,6 +200,28 @@ def test_progress_in_time(monkeypatch, clock):
         clock[0] += 1
         progress(9.0)
         assert sys.stderr.getvalue().endswith("\rrecord  9 s\x1b[K")
+
+
+@pytest.mark.parametrize(
+    ("columns", "drawn"),
+    [
+        (0, "write store  [#######.......................]  25 %  1.0 KiB  1.0 KiB/s  3 s left"),
+        (82, "write store  [#######.......................]  25 %  1.0 KiB  1.0 KiB/s  3 s left"),
+        (81, "write store  [#######......................]  25 %  1.0 KiB  1.0 KiB/s  3 s left"),
+        (53, "write store  [.]  25 %  1.0 KiB  1.0 KiB/s  3 s left"),
+        (52, "write store   25 %  1.0 KiB  1.0 KiB/s  3 s left"),
+        (30, "write store   25 %  1.0 KiB  "),
+        (1, ""),
+    ],
+)
+def test_progress_stays_in_one_line(monkeypatch, clock, columns, drawn):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    monkeypatch.setattr(sys.stderr, "fileno", lambda: 2)
+    monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((columns, 24)))
+    with Progress("write store") as progress:
+        clock[0] += 1
+        progress(1024, 4096)
+        assert sys.stderr.getvalue() == f"\r{drawn}\x1b[K"
 
 
 def test_progress_at_odd_totals(monkeypatch, clock):
