@@ -420,18 +420,28 @@ def _range(sensor: Transducer, quantity: Quantity, value: float, make: Any) -> d
     fields = {
         "radiation_type": int(is_infrared),
         "field_of_view": 0.0,
-        "min_range": low,
-        "max_range": high,
-        "range": value,
+        "min_range": _as_f32(low),
+        "max_range": _as_f32(high),
+        "range": _as_f32(value),
     }
     if "variance" in make.__dataclass_fields__:
-        fields["variance"] = _variance(sensor, quantity)
+        fields["variance"] = _as_f32(_variance(sensor, quantity))
     return fields
+
+
+def _as_f32(value: float) -> float:
+    """Return a number as a field of 32 bits takes it: infinite where it is beyond these."""
+    try:
+        struct.pack("<f", value)
+    except OverflowError:
+        return math.copysign(math.inf, value)
+    return value
 
 
 def _variance(sensor: Transducer, quantity: Quantity) -> float:
     """Return the square of the accuracy, 0 where it is not known, as messages want it."""
-    return 0.0 if sensor.accuracy is None else (sensor.accuracy * quantity.factor) ** 2
+    error = (sensor.accuracy or 0.0) * quantity.factor
+    return error * error  # where a power would raise, this is infinite
 
 
 _NUMBERS: Final[Mapping[str, tuple[str, str, Callable[..., dict[str, Any]]]]] = {

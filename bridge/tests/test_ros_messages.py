@@ -240,6 +240,27 @@ def test_ranges_are_in_metres_one_for_each_channel_and_none_where_it_is_na(distr
         assert one.variance == pytest.approx(0.0009)
 
 
+@pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize(("value", "told"), [(1e39, math.inf), (-1e300, -math.inf), (1.5, 1.5)])
+def test_a_distance_that_32_bits_do_not_hold_is_infinite(
+    distro: str, value: float, told: float
+) -> None:
+    topic = topic_of(
+        "SENSOR(s, 0, s, M, 1, f64, none, (unit, m), (range, -1e300, 1e300), (accuracy, 1e30))"
+    )
+    one = published(topic, struct.pack("<Qd", 7, value), distro)["s/range"]
+    assert (one.range, one.min_range, one.max_range) == (told, -math.inf, math.inf)
+    if distro == "jazzy":
+        assert one.variance == math.inf
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_a_variance_beyond_all_numbers_is_infinite(distro: str) -> None:
+    topic = topic_of("SENSOR(s, 0, s, M, 1, f64, none, (unit, Cel), (accuracy, 1e200))")
+    found = published(topic, struct.pack("<Qd", 7, 1.5), distro)["s/temperature"]
+    assert (found.temperature, found.variance) == (1.5, math.inf)
+
+
 @pytest.mark.parametrize(
     ("unit", "name", "suffix", "field", "raw", "value"),
     [
