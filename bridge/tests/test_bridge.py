@@ -291,6 +291,24 @@ class TestSamples:
                 )
 
     @in_event_loop
+    async def test_a_clock_that_jumps_between_its_first_exchanges_is_kept(self, kept, monkeypatch):
+        device, pause, jumps = board_of(clock=20.0), AsyncClock._pause, []
+
+        async def jumping(self, seconds):
+            if not jumps:
+                jumps.append(seconds)
+                device._start_ns -= 10_000_000_000
+            await pause(self, seconds)
+
+        monkeypatch.setattr(AsyncClock, "_pause", jumping)
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                [board] = await until(lambda: list(bridge._boards.values()))
+                await until(lambda: board.flows)
+                assert board.has_clock
+                await until(lambda: board.uncertainty_us)
+
+    @in_event_loop
     async def test_a_channel_that_was_read_before_the_clock_was_set_has_no_stamp(self, kept):
         device = board_of()
         with served(device) as url:
