@@ -131,6 +131,11 @@ class _Board:
         self.has_clock = False
         self.uncertainty_us: float | None = None
 
+    def lose_early(self) -> None:
+        """Count the samples that wait for topics in vain as lost, of those that come."""
+        self.early_lost.update(sample.name for sample, _ in self.early)
+        self.early.clear()
+
 
 class Bridge:
     """Publishes each transducer of each board to each sink.
@@ -265,7 +270,17 @@ class Bridge:
     async def _come(self, identity: str, url: str) -> None:
         assert self._fleet is not None
         client = self._fleet[identity]
+        client.on_restart(lambda _restart: self._restarted(identity, client))
         await self._persist(client, self._meet, identity, url, client)
+
+    async def _restarted(self, identity: str, client: j2a.AsyncClient) -> None:
+        """Learn anew what a board has; its samples come behind this."""
+        board = self._boards.get(identity)
+        if board is None:
+            return
+        board.lose_early()  # what they are is known no more
+        if board.client is client:  # or `_meet` is under way
+            await self._persist(client, self._learn, board)
 
     async def _meet(self, identity: str, url: str, client: j2a.AsyncClient) -> bool:
         """Get to know a board that is here; return whether there is no more to try."""
@@ -278,7 +293,6 @@ class Bridge:
                 board = self._boards[identity] = _Board(name, url, self._wanted(identity, url))
                 board.early_lost = self._unmet.pop(identity, Counter())
             board.client, board.url = client, url
-            client.on_restart(lambda _restart: self._persist(client, self._learn, board))
             await self._begin_clock(board, client)
         except j2a.J2AError as error:
             _logger.warning("%s: %s", url, error)
@@ -452,9 +466,7 @@ class Bridge:
         flows, board.flows = board.flows, None
         if flows is not None:
             board.counts = {one.topic.name: one.counts for one in flows.values()}
-        # Those that waited in vain are lost of their topics, where these come again.
-        board.early_lost.update(sample.name for sample, _ in board.early)
-        board.early.clear()
+        board.lose_early()
         for flow in (flows or {}).values():
             self._retract(flow)
         if not self._ended.is_set():

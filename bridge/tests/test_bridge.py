@@ -15,10 +15,12 @@ from j2a_bridge.config import BoardConfig, Config, SensorConfig
 from j2a_bridge.sink import SinkError
 from j2a_bridge.sink_request import SinkRequest
 from j2a_bridge.topics import _OF_ROS
+from j2a_spec import constants as c
 
 import j2a
 from j2a.aio import AsyncTransducers
 from j2a.io.async_clock import AsyncClock
+from j2a.types.transds_file import read_transds
 
 from .support import (
     PATIENCE_S,
@@ -43,6 +45,13 @@ def in_event_loop(test):
 
 def names(sink, what):
     return [name for kind, name in sink.events if kind == what]
+
+
+def restart(device, text):
+    """Have a board say that it has restarted, and what it has now."""
+    device._runner._server.content = str(read_transds(text)).encode()
+    [connection] = device._connections
+    connection.send_sif(c.BOOT, struct.pack("<BHI", 0, 1, 0))
 
 
 def learning_late(monkeypatch):
@@ -409,6 +418,30 @@ class TestSamples:
                 may_learn.set()
                 await until(lambda: len(kept[0].updates) == 5)
         assert [update.sample.readings[0].raw for update in kept[0].updates] == list(range(5))
+
+    @in_event_loop
+    async def test_those_of_before_a_restart_are_not_published_as_what_the_board_has_then(
+        self, kept, monkeypatch
+    ):
+        sensor = "SENSOR(quad, 0, quad, M, 1, i16, none, (unit, {}))"
+        device = board_of(sensor.format("deg"), boot=True)
+        may_learn = learning_late(monkeypatch)
+        with served(device) as url:
+            async with bridging(config_for(url, clock="off")) as bridge:
+                board = (await until(lambda: list(bridge._boards.values())))[0]
+                device.sense("quad", 0, 1, raw=True)
+                await until(lambda: board.early)
+                restart(device, sensor.format("mm"))
+                learnt = board.client.transducers
+                await until(lambda: learnt.descriptors and learnt["quad"].unit == "mm")
+                device.sense("quad", 0, 2, raw=True)
+                may_learn.set()
+                await until(lambda: kept[0].updates)
+                flow = bridge._flows["quad"]
+                assert (flow.samples, flow.lost) == (2, 1)
+        [update] = kept[0].updates
+        assert update.topic.transducer.unit == update.sample.unit == "mm"
+        assert update.sample.values == (2,)
 
     @pytest.mark.parametrize("clock", ["discipline", "off"])
     @in_event_loop
