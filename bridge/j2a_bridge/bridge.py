@@ -20,6 +20,7 @@ from typing import Any, Final
 import j2a
 from j2a.events import quick_maker
 from j2a.protocol.roster import BoardChange
+from j2a.types.transducers import Transducer
 from j2a_bridge.config import BoardConfig, Config, SensorConfig, check_url
 from j2a_bridge.runner import SinkRunner
 from j2a_bridge.sink import BoardStatus, Status, Times, TopicStatus, Update
@@ -114,6 +115,7 @@ class _Board:
         client: of the board; None where it is not here.
         flows: its transducers by name; None until they are known.
         counts: by topic, of its transducers when it was here last.
+        wishes: topics that its transducers had to get when they were learnt last.
         problem: what is wrong with it, or "".
     """
 
@@ -124,6 +126,7 @@ class _Board:
         self.client: j2a.AsyncClient | None = None
         self.flows: dict[str, _Flow] | None = None
         self.counts: dict[str, _Counts] = {}
+        self.wishes: dict[str, str] = {}
         self.early: deque[tuple[j2a.Sample, int]] = deque()  # and when they came
         self.early_lost: Counter[str] = Counter()  # by transducer
         self.learning = asyncio.Lock()  # what two had learnt at once would be announced twice
@@ -393,17 +396,26 @@ class Bridge:
             return True
         transducers = await client.transducers()
         descriptors = transducers.descriptors
+        found: dict[str, tuple[Any, Transducer, SensorConfig, str]] = {}
+        for name, transducer in transducers.items():
+            wanted = board.wanted.transducers.get(name, SensorConfig())
+            if wanted.is_published:
+                wish = wanted.topic or await self._topic_setting(transducer)
+                found[name] = transducer, transducer.descriptor, wanted, wish
+        if client is not board.client:
+            return True  # it has gone meanwhile
+        # Nothing waits from here on, so no other board gets a topic that is free for a moment. One
+        # that a transducer has no more, or wants no more, is in the way of none of its own.
+        wishes = {name: wish or one.topic for name, (_, one, _, wish) in found.items()}
+        kept = {name for name, wish in wishes.items() if board.wishes.get(name) == wish}
+        self._names.keep(board.name, kept)
+        board.wishes = wishes
         before = board.flows or {}
         flows: dict[str, _Flow] = {}
-        for name, transducer in transducers.items():
+        for name, (transducer, descriptor, wanted, wish) in found.items():
             assert descriptors is not None
-            wanted = board.wanted.transducers.get(name, SensorConfig())
-            if not wanted.is_published:
-                continue
-            name_wanted = wanted.topic or await self._topic_setting(transducer)
-            descriptor = transducer.descriptor
             topic = Topic(
-                self._names.topic(board.name, descriptor, name_wanted),
+                self._names.topic(board.name, descriptor, wish),
                 board.name,
                 descriptor,
                 descriptors,
@@ -415,8 +427,6 @@ class Bridge:
                 flows[name] = old
             else:
                 flows[name] = _Flow(topic, transducer, wanted)
-        if client is not board.client:
-            return True  # it has gone meanwhile
         for name, flow in before.items():
             if flows.get(name) is not flow:
                 self._retract(flow)
@@ -425,8 +435,6 @@ class Bridge:
             if before.get(name) is not flow:
                 flow.go_on_from(counts.get(flow.topic.name, (0, 0, 0)))
                 self._announce(flow)
-        # Of what it had before it was away, too.
-        self._names.keep(board.name, flows)
         if board.flows is None and flows:
             topics = ", ".join(flow.topic.name for flow in flows.values())
             _logger.info("%s is here: %s", board.name, topics)

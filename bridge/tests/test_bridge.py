@@ -127,6 +127,35 @@ class TestTopics:
                 with served(board_of(serial="2"), second):
                     await announced(kept[0], "quad", "servo")
 
+    @in_event_loop
+    async def test_a_transducer_with_another_name_has_the_topic_that_one_before_had(
+        self, kept, caplog
+    ):
+        device = board_of("SENSOR(a, 0, a, M, 1, i16, none, (topic, pos))", boot=True)
+        with served(device) as url:
+            async with bridging(config_for(url, clock="off")) as bridge:
+                await announced(kept[0], "pos")
+                restart(device, "SENSOR(b, 0, b, M, 1, i16, none, (topic, pos))")
+                [board] = bridge._boards.values()
+                await until(lambda: list(board.flows) == ["b"])
+                assert list(bridge._flows) == ["pos"]
+        assert "is taken" not in caplog.text
+
+    @in_event_loop
+    async def test_transducers_may_change_their_topics_round(self, kept):
+        text = "".join(
+            f"SENSOR({one}, {at}, {one}, M, 1, u8, none, (topic, {one}))\n"
+            for at, one in enumerate("xy")
+        )
+        with served(board_of(text)) as url:
+            async with bridging(config_for(url, clock="off")) as bridge:
+                await announced(kept[0], "x", "y")
+                control = kept[0].control
+                for topic, wish in (("x", "y"), ("y", "x")):
+                    await asyncio.wrap_future(control.configure(topic, {"topic": wish}))
+                found = {name: one.topic.transducer.name for name, one in bridge._flows.items()}
+        assert found == {"y": "x", "x": "y"}
+
     # The fleet asks for the properties first, to know the board.
     @pytest.mark.parametrize(
         ("kind", "name", "late"),
