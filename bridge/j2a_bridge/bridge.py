@@ -656,9 +656,10 @@ class Bridge:
             await flow.transducer.configure(**settings)
             found = await self._settings(flow)
             if "topic" in settings:
-                for board in self._boards.values():
-                    if board.name == flow.topic.board:
-                        await self._learn(board)
+                here = [one for one in self._boards.values() if one.name == flow.topic.board]
+                for board in here:  # which is one, and others may come meanwhile
+                    if board.client is not None:
+                        await self._persist(board.client, self._learn, board)
             return found
 
         return self._order(order())

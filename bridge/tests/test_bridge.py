@@ -703,6 +703,47 @@ class TestOrders:
                 await until(lambda: "pool/depth" in names(kept[0], "publish"))
 
     @in_event_loop
+    async def test_a_board_may_come_while_another_topic_is_learnt(self, kept, monkeypatch):
+        learn, may_learn = Bridge._learn_alone, asyncio.Event()
+        port = free_port()
+        with served(board_of(name="arm")) as url:
+            async with bridging(config_for(url, f"tcp://127.0.0.1:{port}")) as bridge:
+                await announced(kept[0], "arm/tank/level")
+
+                async def late(self, board):
+                    await may_learn.wait()
+                    return await learn(self, board)
+
+                monkeypatch.setattr(Bridge, "_learn_alone", late)
+                future = kept[0].control.configure("arm/tank/level", {"topic": "pool"})
+                with served(board_of(name="leg"), port):
+                    await until(lambda: len(bridge._boards) == 2)
+                    may_learn.set()
+                    after = await asyncio.wait_for(asyncio.wrap_future(future), PATIENCE_S)
+                    await announced(kept[0], "arm/pool", "leg/quad")
+        assert after["topic"] == "pool"
+
+    @in_event_loop
+    async def test_another_topic_is_learnt_where_the_board_does_not_answer_at_first(
+        self, kept, monkeypatch
+    ):
+        learn, calls = Bridge._learn_alone, []
+        with served(board_of()) as url:
+            async with bridging(config_for(url)):
+                await announced(kept[0], "tank/level")
+
+                async def once_late(self, board):
+                    calls.append(board)
+                    if len(calls) == 1:
+                        raise j2a.CallTimeout("no answer")
+                    return await learn(self, board)
+
+                monkeypatch.setattr(Bridge, "_learn_alone", once_late)
+                future = kept[0].control.configure("tank/level", {"topic": "pool"})
+                await asyncio.wait_for(asyncio.wrap_future(future), PATIENCE_S)
+                await announced(kept[0], "pool")
+
+    @in_event_loop
     async def test_topics_that_are_learnt_twice_at_once_leave_none_behind(self, kept, monkeypatch):
         chosen, may_tell = iter(("first", "second")), asyncio.Event()
 
