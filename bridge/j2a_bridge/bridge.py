@@ -63,7 +63,29 @@ class _Flow:
         self._next_us = 0.0
         self.samples = self.lost = self.skipped = 0
         self._before = 0
+        self._times: tuple[int, ...] = ()  # of the sample before
+        self._ahead: dict[int, int] = {}  # times by channel, of before the clock went back
         self.latencies_ns: list[int] = []
+
+    def take_times(self, sample: j2a.Sample) -> tuple[tuple[int, ...], int]:
+        """Return the time of each reading, 0 where there is none, and the latest in the sample.
+
+        Where the clock has gone back, a channel that was not read since is ahead of those that
+        were, which tells nothing of the present: it has none until it is read.
+        """
+        times, before = self.times.of(sample.payload), self._times
+        latest = max(times)
+        self._times = times
+        if sample.is_reset and not self.topic.transducer.queue:
+            pairs = list(zip(times, before, strict=False))
+            newest = max((time for time, last in pairs if time != last), default=latest)
+            for channel, (time, last) in enumerate(pairs):
+                if time == last and time > newest:
+                    self._ahead[channel] = time
+        if self._ahead:
+            self._ahead = {key: time for key, time in self._ahead.items() if times[key] == time}
+            times = tuple(0 if key in self._ahead else time for key, time in enumerate(times))
+        return times, latest
 
     def is_as_announced(self) -> bool:
         """Whether the board still says what it said when the topic was announced."""
@@ -518,7 +540,7 @@ class Bridge:
         if not flow.is_as_announced():
             flow.lost += 1  # `_learn` is under way
             return
-        times = flow.times.of(sample.payload)
+        times, latest = flow.take_times(sample)
         newest = max(times)
         if newest - min(times) > _YEAR_US:
             # The clock was set behind these readings, by decades: the shift is not theirs.
@@ -532,8 +554,8 @@ class Bridge:
             # A time of a board that is out of its mind counts as none that is known.
             shift = arrived_ns // _NS_PER_US - newest
         else:
-            shift = sample.host_us - newest
-            flow.latencies_ns.append(arrived_ns - sample.host_us * _NS_PER_US)
+            shift = sample.host_us - latest
+            flow.latencies_ns.append(arrived_ns - (newest + shift) * _NS_PER_US)
             uncertainty = board.uncertainty_us
         update = _new_update(flow.topic, sample, times, shift, arrived_ns, uncertainty)
         for runner in self.runners:

@@ -68,7 +68,7 @@ class Update:
         topic: where it is published.
         sample: as the library delivers it.
         times_us: of the readings on the clock of the device, 0 where there is none, or where it was
-            taken before the clock was set for the first time.
+            taken before the clock was set for the first time, or went back.
         shift_us: what is added to a time of the device, to get one of this computer since 1970.
         arrived_ns: when the sample came, in nanoseconds since 1970.
         uncertainty_us: bound of the error of the times; None where the clock of the board is not

@@ -372,6 +372,43 @@ class TestSamples:
                     assert [one is not None for one in update.stamps_ns] == stamps
                     assert max(update.times_us) == now
 
+    @pytest.mark.parametrize("is_known", [False, True])
+    @in_event_loop
+    async def test_a_channel_that_was_read_before_the_clock_went_back_has_no_stamp(
+        self, kept, is_known
+    ):
+        """It would be in the future, or what is read now in the past."""
+        shift_us, ahead_us, found = 1_700_000_000_000_000, 3_600_000_000, []
+        device, board = board_of(), BoardConfig(transducers={"quad": SensorConfig(rate_hz=100.0)})
+        with served(device) as url:
+            board = dataclasses.replace(board, url=url)
+            async with bridging(Config((board,), (SinkRequest("kept"),))) as bridge:
+                await announced(kept[0], "quad")
+                device.sense("quad", 0, 1, raw=True)
+                [update] = await until(lambda: list(kept[0].updates))
+                for times, is_reset in (
+                    ((5, ahead_us), False),
+                    ((ahead_us + 20_000, ahead_us), False),
+                    ((20_000, ahead_us), True),
+                    ((40_000, ahead_us), False),
+                    ((60_000, ahead_us), False),
+                    ((60_000, 80_000), True),
+                ):
+                    made = dataclasses.replace(
+                        update.sample,
+                        payload=struct.pack("<QhQh", times[0], 1, times[1], 1),
+                        host_us=shift_us + max(times) if is_known else None,
+                        is_reset=is_reset,
+                    )
+                    kept[0].updates.clear()
+                    bridge._take(made)
+                    found += await until(lambda: list(kept[0].updates))
+        for one in found:
+            is_right = one.shift_us == shift_us
+            assert is_right if is_known else 0 <= one.arrived_ns - one.stamp_ns < 1000
+        there = [[stamp is not None for stamp in one.stamps_ns] for one in found]
+        assert there == [[True, True]] * 2 + [[True, False]] * 3 + [[True, True]]
+
     @in_event_loop
     async def test_rates_are_limited_by_the_times_of_the_source(self, kept):
         device = board_of("SENSOR(s, 0, s, M, 1, u8, none, (queue, 8))")
