@@ -663,6 +663,12 @@ class Bridge:
             flow = self._flow(topic)
             if flow.topic.transducer.is_sensor:
                 raise j2a.WrongArgument(f"{topic} is a sensor, which cannot be set")
+            if not flow.is_as_announced():
+                await self.client(flow.topic.board).transducers()  # if it has just restarted
+                if not flow.is_as_announced():
+                    raise j2a.InterfaceChanged(
+                        f"{topic} is another actuator now, after a restart of its board"
+                    )
             at_us = 0
             if at_ns:
                 at_us = self.client(flow.topic.board).clock.to_device(at_ns // _NS_PER_US)

@@ -713,6 +713,38 @@ class TestOrders:
         assert str(caught.value)
         assert device.was_set == []
 
+    @pytest.mark.parametrize("is_known", [True, False])
+    @in_event_loop
+    async def test_an_order_for_what_a_board_had_before_a_restart_is_refused(
+        self, kept, monkeypatch, is_known
+    ):
+        """Its number is of another unit, and 90 degrees may be 90 metres."""
+        servo = "ACTUATOR(servo, 2, servo, HS-311, 1, u8, 5, (unit, {}))"
+        device = board_of(servo.format("deg"), boot=True)
+        with served(device) as url:
+            async with bridging(config_for(url, clock="off")) as bridge:
+                await announced(kept[0], "servo")
+                may_learn = learning_late(monkeypatch)
+                [board] = bridge._boards.values()
+                device.was_set.clear()
+                restart(device, servo.format("m"))
+                known = board.client.transducers
+                await until(lambda: known.descriptors and known["servo"].unit == "m")
+                answer, source = AsyncTransducers.__call__, board.flows["servo"].transducer._source
+
+                async def learnt(self):
+                    vars(source).pop("codec", None)
+                    return await answer(self)
+
+                monkeypatch.setattr(AsyncTransducers, "__call__", learnt)
+                for raw in (False, True):
+                    if not is_known:
+                        source.codec = lambda _name: None
+                    with pytest.raises(j2a.InterfaceChanged, match="servo is another actuator now"):
+                        await asyncio.wrap_future(kept[0].control.set("servo", [90], raw=raw))
+                may_learn.set()
+        assert device.was_set == []
+
     @in_event_loop
     async def test_settings_are_changed_and_told(self, kept):
         with served(board_of()) as url:
