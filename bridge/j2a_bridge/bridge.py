@@ -305,6 +305,8 @@ class Bridge:
             return
         board.lose_early()  # what they are is known no more
         if board.client is client:  # or `_meet` is under way
+            if not board.has_clock:
+                await self._begin_clock(board, client)
             await self._persist(client, self._learn, board)
 
     async def _meet(self, identity: str, url: str, client: j2a.AsyncClient) -> bool:
@@ -371,6 +373,8 @@ class Bridge:
 
     async def _try_clock(self, board: _Board, client: j2a.AsyncClient) -> bool:
         """Begin to keep a clock; return whether there is no more to try."""
+        if board.has_clock:
+            return True  # since it was tried last, after a restart
         try:
             await self._measure_clock(board, client)
             can_be_set = "clock" in await client.capabilities()

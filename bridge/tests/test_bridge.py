@@ -347,6 +347,22 @@ class TestSamples:
                 await until(lambda: board.uncertainty_us)
 
     @in_event_loop
+    async def test_the_clock_that_a_board_has_since_a_restart_only_is_kept(self, kept):
+        device = board_of(boot=True)
+        device._runner._server.content = b""
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                [board] = await until(lambda: list(bridge._boards.values()))
+                await until(lambda: board.flows == {})
+                assert not board.has_clock
+                restart(device, TRANSDS)
+                await announced(kept[0], "quad")
+                await until(lambda: board.uncertainty_us)
+                device.sense("quad", 0, 1)
+                [update] = await until(lambda: list(kept[0].updates))
+        assert update.uncertainty_us is not None
+
+    @in_event_loop
     async def test_a_channel_that_was_read_before_the_clock_was_set_has_no_stamp(self, kept):
         device = board_of()
         with served(device) as url:
