@@ -482,13 +482,17 @@ class Bridge:
         return True
 
     async def _topic_setting(self, transducer: Any) -> str:
-        """Return the topic that was chosen at run time, where there is one."""
+        """Return the topic that was chosen at run time, where there is one.
+
+        Raises:
+            J2AError: the board did not tell it; its samples must not go to another one.
+        """
         if not transducer.descriptor.has("topic"):
             return ""
         try:
             return str(await transducer.setting("topic"))
-        except j2a.J2AError:
-            return ""
+        except (j2a.FunctionFailed, j2a.OpcodeRefused, j2a.ProtocolError):
+            return ""  # nor will it tell
 
     def _go(self, identity: str, reason: j2a.J2AError | None) -> None:
         board = self._boards.get(identity)

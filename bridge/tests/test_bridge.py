@@ -20,6 +20,7 @@ from j2a_spec import constants as c
 import j2a
 from j2a.aio import AsyncTransducers
 from j2a.io.async_clock import AsyncClock
+from j2a.io.async_transducers import AsyncSensor
 from j2a.types.transds_file import read_transds
 
 from .support import (
@@ -827,6 +828,34 @@ class TestOrders:
                 future = kept[0].control.configure("tank/level", {"topic": "pool"})
                 await asyncio.wait_for(asyncio.wrap_future(future), PATIENCE_S)
                 await announced(kept[0], "pool")
+
+    @pytest.mark.parametrize(
+        ("error", "topic"),
+        [
+            (j2a.CallTimeout("no answer"), "pool"),
+            (j2a.ChecksumRefused("damaged", 0xFC, b""), "pool"),
+            (j2a.OpcodeRefused("refused", 0xFF, b""), "tank/level"),
+            (j2a.FunctionFailed("refused", 0x42, b""), "tank/level"),
+        ],
+    )
+    @in_event_loop
+    async def test_a_topic_that_is_not_told_at_first_is_asked_for_again(
+        self, kept, monkeypatch, error, topic
+    ):
+        """One that is refused is that of the descriptor."""
+        setting, asked = AsyncSensor.setting, []
+
+        async def once(self, name):
+            asked.append(name)
+            if len(asked) == 1:
+                raise error
+            return "pool" if name == "topic" else await setting(self, name)
+
+        monkeypatch.setattr(AsyncSensor, "setting", once)
+        with served(board_of()) as url:
+            async with bridging(config_for(url)) as bridge:
+                await until(lambda: bridge._flows)
+                assert topic in bridge._flows
 
     @in_event_loop
     async def test_topics_that_are_learnt_twice_at_once_leave_none_behind(self, kept, monkeypatch):
