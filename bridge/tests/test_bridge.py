@@ -1,6 +1,7 @@
 """The bridge: boards in, sinks out."""
 
 import asyncio
+import contextlib
 import dataclasses
 import functools
 import itertools
@@ -53,6 +54,13 @@ def restart(device, text):
     device._runner._server.content = str(read_transds(text)).encode()
     [connection] = device._connections
     connection.send_sif(c.BOOT, struct.pack("<BHI", 0, 1, 0))
+
+
+def unit_of(client, name):
+    """Return the unit of a transducer, None while it is not known what the board has."""
+    with contextlib.suppress(j2a.UnknownTransducer):
+        return client.transducers[name].unit
+    return None
 
 
 def learning_late(monkeypatch):
@@ -515,8 +523,7 @@ class TestSamples:
                 device.sense("quad", 0, 1, raw=True)
                 await until(lambda: board.early)
                 restart(device, sensor.format("mm"))
-                learnt = board.client.transducers
-                await until(lambda: learnt.descriptors and learnt["quad"].unit == "mm")
+                await until(lambda: unit_of(board.client, "quad") == "mm")
                 device.sense("quad", 0, 2, raw=True)
                 may_learn.set()
                 await until(lambda: kept[0].updates)
@@ -745,8 +752,7 @@ class TestOrders:
                 [board] = bridge._boards.values()
                 device.was_set.clear()
                 restart(device, servo.format("m"))
-                known = board.client.transducers
-                await until(lambda: known.descriptors and known["servo"].unit == "m")
+                await until(lambda: unit_of(board.client, "servo") == "m")
                 answer, source = AsyncTransducers.__call__, board.flows["servo"].transducer._source
 
                 async def learnt(self):
