@@ -59,6 +59,7 @@ __all__ = [
     "ManyReply",
     "ManyRequest",
     "Result",
+    "WrongResult",
     "let_end",
     "read_chunk",
 ]
@@ -69,6 +70,10 @@ Result = bytes | int | tuple[int, bytes] | None
 MAX_OPCODE: Final = 0xFF
 _HEADER: Final = struct.Struct("<BBL")
 _logger = logging.getLogger("j2a")
+
+
+class WrongResult(Exception):  # noqa: N818 - it is no error of this library
+    """What a function returned is not what its signature says."""
 
 
 @immutable
@@ -303,6 +308,11 @@ class FunctionTable:
             _check(code, data, MAX_PAYLOAD)
         except Fail as failure:
             return Reply(failure.code, b"")
+        except WrongResult as error:  # no line of the library says more
+            _logger.error(
+                "function %s failed: its signature says otherwise: %s", self.names[opcode], error
+            )
+            return Reply(RET_FAILED, b"")
         except BaseException as error:
             let_end(error)
             _logger.exception("function %s failed", self.names[opcode])

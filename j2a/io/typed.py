@@ -9,7 +9,8 @@ from typing import Any
 
 from j2a_spec.constants import RET_FAILED
 
-from j2a.io.functions import Result
+from j2a.errors import WrongArgument
+from j2a.io.functions import Result, WrongResult
 from j2a.types.coding import Codec, PayloadMismatchError, PythonTypes
 from j2a.types.model import Signature
 
@@ -41,9 +42,12 @@ class TypedFunction:
             return RET_FAILED
         result: Any = self.function(*values)
         if self._is_single:
-            return self._results.pack((result,))
-        if result is None:
+            result = (result,)
+        elif result is None:
             result = ()
-        if not isinstance(result, tuple | list):
-            raise TypeError(f"returned {result!r:.60}; the signature says other results")
-        return self._results.pack(result)
+        elif not isinstance(result, tuple | list):
+            raise WrongResult(f"{result!r:.60} is not all of its results")
+        try:
+            return self._results.pack(result)
+        except WrongArgument as error:
+            raise WrongResult(*error.args) from None
