@@ -10,8 +10,7 @@
 
 #define J2A_TICKS_PER_MS AVR_CLOCK_TICKS_PER_MS
 #define J2A_PORT_NAME "avr-usb"
-#define J2A_PORT_BOOT_CAUSE usb_reset_cause
-extern uint8_t usb_reset_cause;
+#define J2A_PORT_BOOT_CAUSE avr_early_cause
 
 /* A host has configured the board, and does not let it sleep: see usb.h. */
 extern volatile uint8_t usb_trouble;

@@ -69,20 +69,11 @@ static void follow_vbus(void) {
     UDCON = 0;
 }
 
-#if J2A_WITH_BOOT
-uint8_t usb_reset_cause;
-#endif
-
 void usb_start(void) {
     cli();
     /* A boot loader may have left the watchdog on, and the chip runs at an eighth of its clock as it is
      * sold. */
-    /* WDRF keeps the watchdog on. */
-#if J2A_WITH_BOOT
-    usb_reset_cause = avr_reset_cause(); /* now: a host may come after the next reset only */
-#else
-    MCUSR &= (uint8_t)~_BV(WDRF); /* the other causes are the application's */
-#endif
+    avr_reset_begin(); /* WDRF keeps the watchdog on */
     /* WDCE allows the change for four cycles, which C does not promise to keep to. */
     __asm__ volatile("wdr\n\tsts %0, %1\n\tsts %0, __zero_reg__"
                      :: "n"(_SFR_MEM_ADDR(WDTCSR)), "r"((uint8_t)(_BV(WDCE) | _BV(WDE))));

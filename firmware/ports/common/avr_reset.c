@@ -6,6 +6,8 @@
 #include "j2a_port.h"
 
 #if J2A_WITH_BOOT
+uint8_t avr_early_cause;
+
 uint8_t avr_reset_cause(void) {
     const uint8_t flags = MCUSR;
     MCUSR = 0;
@@ -16,5 +18,13 @@ uint8_t avr_reset_cause(void) {
     if ((flags & _BV(WDRF)) != 0)
         return J2A_BOOT_WATCHDOG;
     return (flags & _BV(EXTRF)) != 0 ? J2A_BOOT_PIN : J2A_BOOT_UNKNOWN;
+}
+
+void avr_reset_begin(void) {
+    avr_early_cause = avr_reset_cause();
+}
+#else
+void avr_reset_begin(void) {
+    MCUSR &= (uint8_t)~_BV(WDRF);
 }
 #endif

@@ -8,4 +8,9 @@
 /* Returns J2A_BOOT_UNKNOWN to J2A_BOOT_WATCHDOG. */
 uint8_t avr_reset_cause(void);
 
+/* For ports that must clear WDRF long before a host comes: keeps the cause for the boot SIF, else all other causes for the
+ * application. */
+void avr_reset_begin(void);
+extern uint8_t avr_early_cause;
+
 #endif
