@@ -231,7 +231,8 @@ class ReservedValues(Case):
                 peer.request(opcode, bytes((value,)), c.RET_FAILED, b"")
                 for value in (*values[first:], *values[:first])
             ]
-            peer.play_all([(stream, due), *((r.wire, [r.expected]) for r in requests)])
+            peer.play(stream, *due)
+            peer.ask(*requests)  # one by one: a port that polls receives little meanwhile
 
     @staticmethod
     def _ahead(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:

@@ -94,7 +94,7 @@ class OneForAll(Case):
             for n, shift in product(range(len(kinds)), behind)
             for k, kind in enumerate((kinds[n], kinds[(n + shift) % len(kinds)]))
         )
-        peer.ask_all(requests)
+        peer.ask(*requests)  # one by one: a port that polls receives little while a function runs
 
 
 def _kinds(peer: Peer) -> Iterator[_Kind]:
