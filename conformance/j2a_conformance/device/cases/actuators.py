@@ -1,7 +1,8 @@
 """Actuators: SET, and what a watchdog does (J2A-TRANS)."""
 
 import struct
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Final
 
 from j2a_spec import constants as c
@@ -34,6 +35,17 @@ from ._board import (
 
 _CHANNELS: Final = 16  # of which each range is set
 _LONG_MS: Final = 60_000  # a watchdog that does not expire
+
+
+@contextmanager
+def watchdog_kept(board: Board, one: oracle.Transducer) -> Iterator[None]:
+    """Write WATCHDOG of an actuator as it was in the end, whatever fails before."""
+    before = board.read(one, c.TRANSD_WATCHDOG)
+    try:
+        yield
+    finally:
+        with suppress(Judged, TransportError):
+            board.write(one, c.TRANSD_WATCHDOG, before)
 
 
 class Set(TransducerCase):
@@ -227,21 +239,15 @@ class Watchdog(TransducerCase):
     _MOMENT_MS: Final = 15
 
     def _judge(self, board: Board) -> None:
-        if guarded := board.actuators("watchdog"):
-            befores = [board.read(one, c.TRANSD_WATCHDOG) for one in guarded]
-            try:
+        guarded = board.actuators("watchdog")
+        with ExitStack() as stack:
+            for one in guarded:
+                stack.enter_context(watchdog_kept(board, one))
+            if guarded:
                 board.peer.attempts(lambda: self._together(board, guarded))
-            finally:
-                with suppress(Judged, TransportError):
-                    for one, before in zip(guarded, befores, strict=True):
-                        board.write(one, c.TRANSD_WATCHDOG, before)
-        for one in board.actuators("watchdog"):
-            before = board.read(one, c.TRANSD_WATCHDOG)
-            try:
+        for one in guarded:
+            with watchdog_kept(board, one):
                 board.peer.attempts(lambda one=one: self._actuator(board, one))  # type: ignore[misc]
-            finally:
-                with suppress(Judged, TransportError):
-                    board.write(one, c.TRANSD_WATCHDOG, before)
 
     def _together(self, board: Board, guarded: list[oracle.Transducer]) -> None:
         """Have the watchdogs of all actuators expire twice, with a single request in between."""

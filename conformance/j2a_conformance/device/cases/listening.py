@@ -4,17 +4,16 @@ run (J2A-TRANS-017).
 
 import struct
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Final
 
 from j2a_spec import constants as c
 from j2a_spec import transducers as oracle
-from j2a_transports import TransportError
 
-from j2a_conformance._judge import Judged, fail
+from j2a_conformance._judge import fail
 from j2a_conformance.device._peer import MANY_ONLY, Peer, Request
 
 from ._board import Board, TransducerCase, safe, slots, unsafe
+from .actuators import watchdog_kept
 from .limits import delay
 
 _LIMIT_MS: Final = 150
@@ -54,14 +53,10 @@ class Heard(TransducerCase):
         actuators = board.actuators("watchdog")
         for number, (name, make) in enumerate(kinds(board.peer).items() if actuators else ()):
             one = actuators[number % len(actuators)]
-            before = board.read(one, c.TRANSD_WATCHDOG)
-            try:
+            with watchdog_kept(board, one):
                 board.peer.attempts(
                     lambda one=one, name=name, make=make: self._keep(board, one, name, make)  # type: ignore[misc]
                 )
-            finally:
-                with suppress(Judged, TransportError):
-                    board.write(one, c.TRANSD_WATCHDOG, before)
 
     @staticmethod
     def _keep(board: Board, one: oracle.Transducer, name: str, make: _Make) -> None:
@@ -90,17 +85,13 @@ class Busy(TransducerCase):
 
     def _judge(self, board: Board) -> None:
         for one in board.actuators("watchdog"):
-            before = board.read(one, c.TRANSD_WATCHDOG)
-            try:
+            with watchdog_kept(board, one):
                 for busy, silent in self._PARTS:
                     board.peer.attempts(
                         lambda one=one, busy=busy, silent=silent: (  # type: ignore[misc]
                             self._keep(board, one, busy, silent)
                         )
                     )
-            finally:
-                with suppress(Judged, TransportError):
-                    board.write(one, c.TRANSD_WATCHDOG, before)
 
     @staticmethod
     def _keep(board: Board, one: oracle.Transducer, busy: float, silent: float) -> None:

@@ -1,7 +1,7 @@
 """Settings of sensors together: queue, decimation, threshold, period and ENABLED (J2A-TRANS)."""
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -99,6 +99,39 @@ class EachChannel(Taken):
                     self._give(board, one, channel, value, due=step in (0, _LIMIT))
 
 
+def overfilled(
+    board: Board,
+    one: oracle.Transducer,
+    channel: int,
+    setting: tuple[int, bytes],
+    given: Sequence[bytes],
+) -> tuple[list[bytes], int]:
+    """Give a sensor more values than its queue holds; return those that it sends, and how many it
+    has lost.
+
+    Args:
+        board: with the sensor.
+        one: the sensor.
+        channel: of the values.
+        setting: an item that says which of them are due, and its value.
+        given: the values; the first one is sent before that is written.
+    """
+    since = board.seen
+    board.stimulate(one, (channel, given[0]))
+    index, payload = board.sif(one, since)
+    before = int.from_bytes(payload[:2], "little")
+    board.write(one, c.TRANSD_PERIOD, _HOLD)
+    board.write(one, *setting)
+    for value in given[1:]:
+        board.stimulate(one, (channel, value))
+    board.write(one, c.TRANSD_PERIOD, bytes(4))
+    found: list[bytes] = []
+    while len(found) < int(one.attributes["queue"]):
+        index, payload = board.sif(one, index + 1)
+        found += [value for _, _, value in queued(board, one, payload)]
+    return found, (int.from_bytes(payload[:2], "little") - before) % 65536
+
+
 class FullThreshold(Taken):
     """Gives sensors with queue and threshold one value more than fits, and then values that differ
     from that one, or from the last one in the queue, by less.
@@ -116,24 +149,14 @@ class FullThreshold(Taken):
 
     def _full(self, board: Board, one: oracle.Transducer, channel: int) -> None:
         depth = int(one.attributes["queue"])
-        since = board.seen
-        board.stimulate(one, (channel, board.packed(one, _BEHIND)))
-        index, payload = board.sif(one, since)
-        before = int.from_bytes(payload[:2], "little")
-        board.write(one, c.TRANSD_PERIOD, _HOLD)
-        board.write(one, c.TRANSD_THRESHOLD, board.packed(one, _LIMIT))
         values = [board.packed(one, _FILL[number % 2]) for number in range(depth)]
+        behind = board.packed(one, _BEHIND)
         near = board.packed(one, _BEHIND + _LIMIT - 1)  # not taken, so not lost
-        for value in (*values, board.packed(one, _BEHIND), near):
-            board.stimulate(one, (channel, value))
-        board.write(one, c.TRANSD_PERIOD, bytes(4))
-        found: list[bytes] = []
-        while len(found) < depth:
-            index, payload = board.sif(one, index + 1)
-            found += [value for _, _, value in queued(board, one, payload)]
+        setting = c.TRANSD_THRESHOLD, board.packed(one, _LIMIT)
+        given = (behind, *values, behind, near)
+        found, lost = overfilled(board, one, channel, setting, given)
         if found != values:
             fail(f"{one.name} was given {values}, and sent {found}")
-        lost = (int.from_bytes(payload[:2], "little") - before) % 65536
         if lost != 1:
             fail(f"{one.name} says that {lost} values were lost, where one did not fit")
         last = _FILL[(depth - 1) % 2]
@@ -157,25 +180,13 @@ class FullDecimation(Taken):
 
     @staticmethod
     def _full(board: Board, one: oracle.Transducer, channel: int) -> None:
-        since = board.seen
-        board.stimulate(one, (channel, board.value(one)))
-        index, payload = board.sif(one, since)
-        before = int.from_bytes(payload[:2], "little")
-        board.write(one, c.TRANSD_PERIOD, _HOLD)
-        board.write(one, c.TRANSD_DECIMATION, bytes((_EVERY,)))
         depth = int(one.attributes["queue"])
         values = [board.value(one) for _ in range((depth + 2) * _EVERY - 1)]
-        for value in values:
-            board.stimulate(one, (channel, value))
-        board.write(one, c.TRANSD_PERIOD, bytes(4))
         due = values[_EVERY - 1 :: _EVERY]
-        found: list[bytes] = []
-        while len(found) < depth:
-            index, payload = board.sif(one, index + 1)
-            found += [value for _, _, value in queued(board, one, payload)]
+        setting = c.TRANSD_DECIMATION, bytes((_EVERY,))
+        found, lost = overfilled(board, one, channel, setting, (board.value(one), *values))
         if found != due[:depth]:
             fail(f"{one.name} sent {found} of every {_EVERY} of {values}")
-        lost = (int.from_bytes(payload[:2], "little") - before) % 65536
         if lost != len(due) - depth:
             fail(f"{one.name} says that {lost} values were lost, where {len(due) - depth} were")
 
