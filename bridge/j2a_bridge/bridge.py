@@ -395,12 +395,12 @@ class Bridge:
         """
         try:
             board.uncertainty_us = (await client.clock.measure(2)).uncertainty_us
-        except j2a.LocalError as error:
-            # Where there were some, they contradict each other; those that follow will decide.
-            if isinstance(error, j2a.NoClock):
-                if client.clock.known_bound_us is None:
-                    raise
-                _logger.info("%s: times are those of arrival as yet: %s", board.name, error)
+        except j2a.NoClock as error:
+            if client.clock.known_bound_us is None:
+                raise
+            _logger.info("%s: times are those of arrival as yet: %s", board.name, error)
+        except j2a.LocalError:
+            pass  # the exchanges contradict each other; those that follow will decide
 
     async def _learn(self, board: _Board) -> bool:
         """Announce the transducers of a board, and take those back that it has no more.
